@@ -1,0 +1,1 @@
+"""The pipeline: recipes, fitting, running, the detector store, the command line."""
