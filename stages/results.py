@@ -1,0 +1,85 @@
+"""What a diagnosis is: one table of samples, one verdict, and the map of operating regimes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+import polars as pl
+from numpy.typing import NDArray
+
+from ingest.log import Event, Log
+
+
+@dataclass(frozen=True, kw_only=True)
+class Magnitude:
+    """Estimated size of a fault: relative (``"1"``), hole diameter (``"mm"``) or opening (``"%"``)."""
+
+    value: float
+    sd: float | None
+    unit: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verdict:
+    """The diagnosis of one log in a few words; what does not apply is None or empty.
+
+    ``fault`` is ``none`` or ``insufficient_evidence`` without an alarm, else the most probable hypothesis of
+    the strongest event, or ``unknown``. ``set`` holds all faults with a probability above 0.05.
+    """
+
+    log: str
+    recipe: str
+    detector: str | None
+    fault: str
+    signal: str | None = None
+    set: tuple[str, ...] = ()
+    probability: Mapping[str, float] = field(default_factory=dict)
+    onset_s: float | None = None
+    detected_s: float | None = None
+    magnitude: Magnitude | None = None
+    detectable: Mapping[str, float] | None = None
+    events: tuple[Event, ...] = ()
+    quality: Mapping[str, Any] = field(default_factory=dict)
+    statistics: Mapping[str, Any] = field(default_factory=dict)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain JSON values, keys as listed in the documentation of ``verdict.json``."""
+        return {**asdict(self), "set": list(self.set), "events": [e.to_json() for e in self.events]}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class OperatingMap:
+    """Where the system was and which regions it knows, in the plane of two signals.
+
+    ``x, y``: one point per row of the samples, shape (rows,). ``nodes``: region centres, shape (M, 2).
+    ``edges``: pairs of neighbouring regions on the self-organising map, shape (E, 2). ``visits``: training
+    samples per region; ``spread``: root mean square training residual per region; both shape (M,).
+    """
+
+    x_label: str
+    y_label: str
+    x: NDArray[np.float64]
+    y: NDArray[np.float64]
+    nodes: NDArray[np.float64]
+    edges: NDArray[np.int64]
+    visits: NDArray[np.float64]
+    spread: NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Diagnosis:
+    """All that a run knows about one log.
+
+    ``samples`` has one row per sample of the analysis raster: ``time``, ``regime``, ``in_domain``, per
+    residual ``residual.<r> sigma.<r> z.<r>``, ``detection``, per hypothesis ``evidence.<f>`` and ``p.<f>``.
+    ``units`` gives the unit of each residual.
+    """
+
+    log: Log
+    samples: pl.DataFrame
+    verdict: Verdict
+    units: Mapping[str, str] = field(default_factory=dict)
+    operating_map: OperatingMap | None = None
