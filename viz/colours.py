@@ -1,0 +1,81 @@
+"""One palette for every picture: Okabe and Ito's colours, told apart by colour-blind readers too.
+
+Sources: M. Okabe, K. Ito, "Color Universal Design", 2008; the ramp is cividis (J. R. Nuñez et al., PLoS ONE
+13, 2018).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Colour = tuple[int, int, int]
+
+SKY_BLUE: Colour = (86, 180, 233)
+ORANGE: Colour = (230, 159, 0)
+GREEN: Colour = (0, 158, 115)
+YELLOW: Colour = (240, 228, 66)
+PURPLE: Colour = (204, 121, 167)
+VERMILLION: Colour = (213, 94, 0)
+BLUE: Colour = (52, 134, 200)  # lighter than the original (0, 114, 178), which sinks into a dark background
+SAND: Colour = (194, 178, 128)
+WHITE: Colour = (240, 240, 240)
+GREY: Colour = (150, 150, 150)
+DIM: Colour = (66, 72, 76)
+
+CYCLE = (SKY_BLUE, ORANGE, GREEN, PURPLE, YELLOW, VERMILLION, BLUE, SAND)
+EXCEEDANCE: Colour = (255, 82, 62)
+DETECTED = YELLOW
+INJECTED = WHITE
+
+_FAULTS: dict[str, Colour] = {
+    "none": DIM,
+    "insufficient_evidence": GREY,
+    "unknown": WHITE,
+    "maf_gain": SKY_BLUE,
+    "boost_pressure_gain": PURPLE,
+    "intake_pressure_gain": YELLOW,
+    "boost_leak": VERMILLION,
+    "intake_leak": GREEN,
+    "tps_time_constant": SKY_BLUE,
+    "tps_gain": ORANGE,
+    "motor_torque_constant": GREEN,
+    "back_emf_constant": PURPLE,
+}
+_CIVIDIS: NDArray[np.float64] = np.array(
+    [(0, 34, 78), (59, 73, 108), (112, 113, 115), (165, 153, 108), (219, 196, 80), (254, 232, 56)],
+    dtype=float,
+)
+
+
+def of_index(index: int) -> Colour:
+    """The colour of the ``index``-th series or regime; they repeat after eight."""
+    return CYCLE[index % len(CYCLE)]
+
+
+def of_fault(name: str) -> Colour:
+    """The same colour for a fault wherever it is drawn; several at once have the colours' mean.
+
+    >>> of_fault("boost_leak") == VERMILLION
+    True
+    >>> of_fault("boost_leak+maf_gain")
+    (150, 137, 116)
+    """
+    parts = [_FAULTS.get(part) or of_index(sum(part.encode())) for part in name.split("+")]
+    red, green, blue = np.mean(parts, axis=0).round().astype(int).tolist()
+    return red, green, blue
+
+
+def ramp(values: NDArray[np.float64]) -> NDArray[np.uint8]:
+    """Cividis from the least (dark) to the greatest value (bright), shape (n, 3); grey where not finite.
+
+    >>> ramp(np.array([0.0, 1.0])).tolist()
+    [[59, 73, 108], [254, 232, 56]]
+    """
+    finite = np.isfinite(values)
+    low, high = (values[finite].min(), values[finite].max()) if finite.any() else (0.0, 0.0)
+    place = np.where(finite, (values - low) / ((high - low) or 1.0), 0.0)
+    stops = np.linspace(0.0, 1.0, len(_CIVIDIS) - 1)  # without the darkest, lost on a dark background
+    colours = np.stack([np.interp(place, stops, _CIVIDIS[1:, channel]) for channel in range(3)], axis=1)
+    colours[~finite] = GREY
+    return colours.round().astype(np.uint8)

@@ -1,0 +1,198 @@
+"""The blueprint: which view stands where, on one linked time axis that shows the whole log."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import rerun as rr
+import rerun.blueprint as rrb
+
+from stages.results import OperatingMap
+from viz.lanes import FAULT_LANES, REGIME
+from viz.operating_map import HEIGHT, MAP, SOM, TRAIL_S, WIDTH
+from viz.residuals import Residual
+from viz.send import TIMELINE
+from viz.signals import LogContents, Panel
+
+KEY_SIGNALS = ("n_Eng", "p_Int", "W_HFM", "e_a", "theta_ang", "v_Veh")
+OVERVIEW_PANELS = 2
+OVERVIEW_RESIDUALS = 3
+PANELS_PER_PAGE = 12
+LANES_BELOW = 6
+FAULTS = "What was injected, what was found"
+BACKGROUND = (16, 17, 20)
+_GLOBAL_VIEW = "view/5c0dca6a-e63f-9cf7-f657-2602590474cc"  # of the viewer, re_viewer_context; not public
+
+
+class WholeRange(rrb.Blueprint):
+    """A blueprint whose linked views open on ``span`` (s).
+
+    Linked plots share a range that has no public setting and else opens 30 s around the cursor.
+    """
+
+    def __init__(self, *parts: Any, span: tuple[float, float], **settings: Any) -> None:
+        super().__init__(*parts, **settings)
+        self.span = span
+
+    def _log_to_stream(self, stream: rr.RecordingStream) -> None:
+        super()._log_to_stream(stream)
+        start, end = (rr.TimeRangeBoundary.absolute(seconds=t) for t in self.span)
+        axis = rrb.archetypes.TimeAxis(view_range=rr.TimeRange(start=start, end=end))
+        stream.log(f"{_GLOBAL_VIEW}/TimeAxis", axis)
+
+
+def log_layout(contents: LogContents, lanes: Sequence[str], span: tuple[float, float]) -> rrb.Blueprint:
+    """A log without a run: signals beside what is known of it."""
+    left = rrb.Vertical(*map(_signal_view, overview_panels(contents.panels, 6)), *_lane_view("Events", lanes))
+    about = rrb.TextDocumentView(origin="/summary", name="Log")
+    tabs = [rrb.Horizontal(left, about, column_shares=[7, 3], name="Overview"), *signal_tabs(contents)]
+    return _blueprint(tabs, span)
+
+
+def run_layout(
+    contents: LogContents,
+    residuals: Sequence[Residual],
+    lanes: Sequence[str],
+    *,
+    plane: OperatingMap | None,
+    span: tuple[float, float],
+) -> rrb.Blueprint:
+    """A run: one tab per question."""
+    tabs = [
+        _overview(contents, residuals, lanes, plane is not None),
+        *signal_tabs(contents),
+        _residuals(residuals, lanes),
+        *([_regimes(plane)] if plane else []),
+        _evidence(lanes),
+    ]
+    return _blueprint(tabs, span)
+
+
+def _blueprint(tabs: Sequence[rrb.Container], span: tuple[float, float]) -> rrb.Blueprint:
+    return WholeRange(
+        rrb.Tabs(*tabs, active_tab=0),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="paused"),
+        span=span,
+    )
+
+
+def _overview(
+    contents: LogContents, residuals: Sequence[Residual], lanes: Sequence[str], operating_map: bool
+) -> rrb.Container:
+    signals = [_signal_view(p) for p in overview_panels(contents.panels, OVERVIEW_PANELS)]
+    shown = [_residual_view(r) for r in residuals[:OVERVIEW_RESIDUALS]]
+    left = rrb.Vertical(
+        *signals,
+        *shown,
+        *_lane_view(FAULTS, lanes),
+        row_shares=[2.0] * len(signals) + [2.6] * len(shown) + [0.62 * len(lanes) + 0.5],
+    )
+    right: list[rrb.View] = [rrb.TextDocumentView(origin="/summary", name="Summary")]
+    if operating_map:
+        right.append(_map_view())
+    return rrb.Horizontal(
+        left, rrb.Vertical(*right, row_shares=[5, 4][: len(right)]), column_shares=[7, 3], name="Overview"
+    )
+
+
+def overview_panels(panels: Sequence[Panel], count: int) -> list[Panel]:
+    """The panels that hold the key signals, in their order, then the first others."""
+    keyed = [panel for key in KEY_SIGNALS for panel in panels if key in panel.signals]
+    return list(dict.fromkeys([*keyed, *panels]))[:count]
+
+
+def signal_tabs(contents: LogContents) -> list[rrb.Container]:
+    """The tab of all signals, with pages where they do not fit on one; text as lanes below, or on a page."""
+    views = [_signal_view(panel) for panel in contents.panels]
+    starts = range(0, len(views), PANELS_PER_PAGE)
+    pages = [
+        _grid(views[i : i + PANELS_PER_PAGE], f"{i + 1} to {min(i + PANELS_PER_PAGE, len(views))}")
+        for i in starts
+    ]
+    lanes = _lane_view("States", contents.lanes)
+    if len(pages) == 1 and len(contents.lanes) <= LANES_BELOW:
+        shares = [8.0, *(0.4 + 0.5 * len(contents.lanes) for _ in lanes)]
+        return [rrb.Vertical(pages[0], *lanes, row_shares=shares, name="Signals")]
+    pages += [rrb.Vertical(view, name="States") for view in lanes]
+    return [rrb.Tabs(*pages, name="Signals")] if pages else []
+
+
+def _grid(views: Sequence[rrb.View], name: str | None = None) -> rrb.Container:
+    return rrb.Grid(*views, grid_columns=1 if len(views) <= 5 else 2, name=name)
+
+
+def _residuals(residuals: Sequence[Residual], lanes: Sequence[str]) -> rrb.Container:
+    plots = _grid([_residual_view(residual, legend=len(residuals) <= 3) for residual in residuals])
+    shown = [lane for lane in lanes if lane in (*FAULT_LANES, REGIME)]
+    return rrb.Vertical(
+        plots, *_lane_view(FAULTS, shown), row_shares=[10, 0.4 + 0.7 * len(shown)], name="Residuals"
+    )
+
+
+def _regimes(plane: OperatingMap) -> rrb.Container:
+    low, high = (f"{f(plane.spread):.3g}" if plane.spread.size else "–" for f in (min, max))
+    som = rrb.Spatial2DView(
+        origin=SOM,
+        name=f"Self-organising map · size: training samples · colour: spread, {low} dark to {high} bright",
+        background=rrb.Background(color=BACKGROUND),
+    )
+    tables = rrb.TextDocumentView(origin="/regimes", name="Residuals by regime")
+    return rrb.Horizontal(_map_view(), rrb.Vertical(som, tables, row_shares=[4, 5]), name="Regimes")
+
+
+def _evidence(lanes: Sequence[str]) -> rrb.Container:
+    return rrb.Vertical(
+        _plot("Probability of each hypothesis [1]", ["/probability/leading"], (-0.03, 1.03)),
+        _plot("Evidence: log-likelihood ratio to the fault-free case [1]", ["/evidence/leading"]),
+        *_lane_view(FAULTS, [lane for lane in lanes if lane in FAULT_LANES]),
+        row_shares=[4, 4, 2],
+        name="Evidence",
+    )
+
+
+def _map_view() -> rrb.Spatial2DView:
+    trail = rrb.VisibleTimeRanges(
+        timeline=TIMELINE,
+        start=rrb.TimeRangeBoundary.cursor_relative(seconds=-TRAIL_S),
+        end=rrb.TimeRangeBoundary.cursor_relative(),
+    )
+    return rrb.Spatial2DView(
+        origin=MAP,
+        name=f"Operating map · samples by regime · white: cursor and the {TRAIL_S:.0f} s before",
+        background=rrb.Background(color=BACKGROUND),
+        visual_bounds=rrb.VisualBounds2D(x_range=[-10, WIDTH + 5], y_range=[-HEIGHT - 9, 12]),
+        overrides={f"{MAP}/trail": [trail]},
+    )
+
+
+def _signal_view(panel: Panel) -> rrb.TimeSeriesView:
+    return _plot(panel.title, panel.entities, legend=len(panel.signals) > 1)
+
+
+def _residual_view(residual: Residual, legend: bool = False) -> rrb.TimeSeriesView:
+    title = f"{residual.title} · grey ±3 sigma · red beyond · yellow: detected · white bar: injected"
+    paths = [f"{residual.path}/**"]
+    return _plot(title, paths, (-residual.height, residual.height), legend=legend)
+
+
+def _plot(
+    name: str, paths: Iterable[str], range_: tuple[float, float] | None = None, *, legend: bool = True
+) -> rrb.TimeSeriesView:
+    return rrb.TimeSeriesView(
+        origin="/",
+        contents=[f"+ {path}" for path in paths],
+        name=name,
+        axis_x=rrb.TimeAxis(link="LinkToGlobal"),
+        axis_y=rrb.ScalarAxis(range=range_) if range_ else None,
+        plot_legend=rrb.PlotLegend(corner="LeftTop", visible=legend),
+    )
+
+
+def _lane_view(name: str, paths: Sequence[str]) -> list[rrb.StateTimelineView]:
+    if not paths:
+        return []
+    axis = rrb.TimeAxis(link="LinkToGlobal")
+    return [rrb.StateTimelineView(origin="/", contents=[f"+ {p}" for p in paths], name=name, time_view=axis)]

@@ -1,0 +1,119 @@
+"""Pictures of a recording's tabs without a screen: the native viewer, drawn by a software Vulkan driver."""
+
+from __future__ import annotations
+
+import os
+import re
+import socket
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from rerun.experimental import ViewerClient
+
+from ingest.errors import DynoscopeError
+from viz.send import TIMELINE
+from viz.viewer import executable
+
+DRIVERS = Path("/usr/share/vulkan/icd.d")
+TIMEOUT_S = 120.0
+TOASTS_S = 5.0
+"""Messages of the start cover a corner for about this long."""
+
+
+def software_driver() -> Path | None:
+    """The description of Mesa's software Vulkan driver, None where it is not installed."""
+    return next(iter(sorted(DRIVERS.glob("lvp_icd.*json"))), None)
+
+
+def render(recording: Path, folder: Path, *, at: float | None = None) -> list[Path]:
+    """One PNG per tab, ``folder/<tab>.png``, with the cursor at ``at`` s (None: where it opens).
+
+    Raises:
+        DynoscopeError: there is no software driver, the recording does not load, or a view reports a problem.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    pictures = []
+    with _viewer() as viewer:
+        _open(viewer, recording)
+        if at is not None:
+            viewer.set_time(TIMELINE, duration=at, play_state="paused")
+        time.sleep(TOASTS_S)
+        for name in _tabs(viewer):
+            path = folder / f"{re.sub(r'[^a-z0-9]+', '_', name.lower())}.png"
+            path.write_bytes(_settled(viewer))
+            pictures.append(path)
+            _check(viewer, recording, name)
+    return pictures
+
+
+@contextmanager
+def _viewer() -> Iterator[ViewerClient]:
+    driver = software_driver()
+    if driver is None:
+        raise DynoscopeError(
+            f"pictures need a software Vulkan driver, and there is none in {DRIVERS}; "
+            "install it, on Debian: apt-get install libvulkan1 mesa-vulkan-drivers"
+        )
+    before = os.environ.get("VK_ICD_FILENAMES")
+    os.environ["VK_ICD_FILENAMES"] = str(driver)  # the viewer inherits it
+    try:
+        viewer = ViewerClient.spawn(
+            headless=True, port=_free_port(), hide_welcome_screen=True, executable_path=str(executable())
+        )
+    finally:
+        os.environ.pop("VK_ICD_FILENAMES")
+        if before is not None:
+            os.environ["VK_ICD_FILENAMES"] = before
+    try:
+        yield viewer
+    finally:
+        viewer.quit()
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def _open(viewer: ViewerClient, recording: Path) -> None:
+    viewer.open(str(recording.resolve()))
+    deadline = time.monotonic() + TIMEOUT_S
+    while time.monotonic() < deadline:
+        state = viewer.get_state()
+        if not state.loading and any(r.timelines for r in state.recordings):
+            return
+        time.sleep(0.05)
+    raise DynoscopeError(f"{recording} did not load within {TIMEOUT_S:g} s; check it with `rerun rrd verify`")
+
+
+def _tabs(viewer: ViewerClient) -> Iterator[str]:
+    """Bring each tab of the outermost container to the front and give its name."""
+    blueprint: dict[str, Any] = viewer.get_blueprint().blueprint
+    containers = {k: e["ContainerBlueprint"] for k, e in blueprint.items() if "ContainerBlueprint" in e}
+    inner = {f"/{child.lstrip('/')}" for c in containers.values() for child in c["contents"]}
+    root = next(k for k in containers if k not in inner)
+    for tab in containers[root]["contents"]:
+        containers[root]["active_tab"] = tab
+        viewer.set_blueprint(blueprint, of="recording")
+        yield str(containers[f"/{tab.lstrip('/')}"]["display_name"])
+
+
+def _settled(viewer: ViewerClient) -> bytes:
+    """The picture once two in a row are equal: data arrives while frames are drawn."""
+    deadline = time.monotonic() + TIMEOUT_S
+    last = b""
+    while (picture := viewer.take_screenshot()) != last and time.monotonic() < deadline:
+        last = picture
+    return picture
+
+
+def _check(viewer: ViewerClient, recording: Path, tab: str) -> None:
+    reports = [f"{view.name}: {report}" for view in viewer.get_state().views for report in view.reports]
+    logs = [e.message for e in viewer.get_logs() if e.level in ("WARN", "ERROR")]
+    problems = reports + [m for m in logs if "oftware rasterizer" not in m]
+    if problems:
+        raise DynoscopeError(f"{recording}, tab {tab}: the viewer reports {'; '.join(problems)}")

@@ -1,0 +1,116 @@
+"""Columns into a Rerun recording: the one place that knows the timeline's name and the slice size."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+
+from viz.colours import DIM, Colour
+from viz.series import Array
+
+TIMELINE = "time"
+ROWS = 8192  # one chunk; larger and smaller ones load and write more slowly
+
+
+def entity(*parts: str) -> str:
+    """An entity path of ``parts``, whatever characters they hold.
+
+    >>> entity("signals", "50 Hz/a")
+    '/signals/50\\\\ Hz\\\\/a'
+    """
+    return rr.new_entity_path([part or "unnamed" for part in parts])
+
+
+def times(time: Array) -> list[rr.TimeColumn]:
+    """The time column of the one timeline, s since the log's clock was zero."""
+    return [rr.TimeColumn(TIMELINE, duration=time)]
+
+
+def lines(
+    rec: rr.RecordingStream,
+    path: str,
+    time: Array,
+    values: Array,
+    *,
+    names: Sequence[str],
+    colours: Sequence[Colour],
+    stepped: bool = False,
+    width: float = 1.2,
+) -> None:
+    """``values`` of shape (n, k) as k lines of one entity; zoomed out, a pixel shows least and greatest."""
+    mode = rr.components.InterpolationMode.StepAfter if stepped else rr.components.InterpolationMode.Linear
+    style = rr.SeriesLines(
+        names=list(names),
+        colors=list(colours),
+        widths=[width] * len(names),
+        aggregation_policy=rr.components.AggregationPolicy.MinMax,
+        interpolation_mode=mode,
+    )
+    rec.log(path, style, static=True)
+    for start in range(0, time.size, ROWS):
+        part = slice(start, start + ROWS)
+        rec.send_columns(path, times(time[part]), rr.Scalars.columns(scalars=values[part]))
+
+
+def points(
+    rec: rr.RecordingStream, path: str, time: Array, values: Array, *, name: str, colour: Colour, size: float
+) -> None:
+    """``values`` of shape (n,) as dots."""
+    style = rr.SeriesPoints(names=name, colors=colour, markers="circle", marker_sizes=size)
+    rec.log(path, style, static=True)
+    for start in range(0, time.size, ROWS):
+        part = slice(start, start + ROWS)
+        rec.send_columns(path, times(time[part]), rr.Scalars.columns(scalars=values[part]))
+
+
+def band(
+    rec: rr.RecordingStream,
+    path: str,
+    time: Array,
+    centre: Array,
+    half: Array,
+    *,
+    name: str,
+    colour: tuple[int, int, int, int],
+) -> None:
+    """A shaded band ``centre`` ± ``half`` (shape (n,)) that holds from each time to the next; NaN: none.
+
+    Rerun draws the standard deviation of a measurement, so the half-width goes in as its square.
+    """
+    style = rr.Measurements.from_fields(
+        names=name,
+        colors=colour,
+        widths=0.0,
+        interpolation_mode=rr.components.InterpolationMode.StepAfter,
+        aggregation_policy=rr.components.AggregationPolicy.Off,
+    )
+    rec.log(path, style, static=True)
+    for start in range(0, time.size, ROWS):
+        part = slice(start, start + ROWS)
+        columns = rr.Measurements.columns(values=centre[part], variances=half[part] ** 2)
+        rec.send_columns(path, times(time[part]), columns)
+
+
+def states(
+    rec: rr.RecordingStream, path: str, time: Array, names: Sequence[str], palette: dict[str, Colour]
+) -> None:
+    """A lane whose state at each time is ``names``; an empty name ends a state."""
+    known = sorted({name for name in names if name})
+    colours = [(*palette.get(name, DIM), 255) for name in known]
+    rec.log(path, rr.StateConfiguration(values=known, labels=known, colors=colours), static=True)
+    for start in range(0, time.size, ROWS):
+        part = slice(start, start + ROWS)
+        rec.send_columns(path, times(time[part]), rr.StateChange.columns(state=list(names[part])))
+
+
+def markdown(rec: rr.RecordingStream, path: str, text: str) -> None:
+    """A document that is always shown."""
+    rec.log(path, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True)
+
+
+def flat(values: NDArray[np.floating]) -> Array:
+    """``values`` as contiguous float64."""
+    return np.ascontiguousarray(values, dtype=np.float64)

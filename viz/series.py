@@ -1,0 +1,100 @@
+"""Series made ready to be drawn: gaps become breaks, long series envelopes, states their changes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+GAP_STEPS = 5.0
+"""A step this many times longer than nearly all others is a gap."""
+
+
+def usual_step(time: Array) -> float:
+    """The step in s that nine of ten do not exceed, repeated time stamps aside; 0 where there is none."""
+    steps = np.diff(time)
+    steps = steps[steps > 0]
+    return float(np.quantile(steps, 0.9)) if steps.size else 0.0
+
+
+def gap_rows(time: Array) -> NDArray[np.intp]:
+    """Rows after which rows are missing, shape (gaps,); ``time`` rises.
+
+    >>> gap_rows(np.array([0.0, 0.1, 0.2, 5.0, 5.1, 5.2, 5.3, 5.4, 5.5, 5.6, 5.7, 5.8])).tolist()
+    [2]
+    """
+    return np.flatnonzero(np.diff(time) > GAP_STEPS * usual_step(time))
+
+
+def break_at_gaps(time: Array, values: Array) -> tuple[Array, Array]:
+    """A row of NaN one usual step after each row that a gap follows, so that no line bridges the gap.
+
+    ``time`` has shape (n,) and rises, ``values`` (n, k); both are returned with one row more per gap.
+    """
+    rows = gap_rows(time)
+    times = np.insert(time, rows + 1, time[rows] + usual_step(time))
+    return times, np.insert(values, rows + 1, np.nan, axis=0)
+
+
+def envelope(time: Array, values: Array, points: int) -> tuple[Array, Array]:
+    """The least and greatest value of each of about ``points / 2`` buckets, in their order of appearance.
+
+    Peaks keep their height and stay in their bucket. Rows without any value get buckets of their own, so
+    breaks stay breaks. Shapes (n,), (n, k) -> (m,), (m, k), m near ``points``; short series pass unchanged.
+    """
+    n = time.size
+    if n <= points:
+        return time, values
+    width = -(-2 * n // points)
+    empty = np.asarray(np.isnan(values).all(axis=1))
+    starts = np.union1d(np.arange(0, n, width), changes(empty))
+    ends = np.append(starts[1:], n) - 1
+    low, high = np.fmin.reduceat(values, starts), np.fmax.reduceat(values, starts)
+    bucket = np.repeat(np.arange(starts.size), ends - starts + 1)
+    row = np.arange(n)[:, None]
+    first_low = np.minimum.reduceat(np.where(values == low[bucket], row, n), starts)
+    first_high = np.minimum.reduceat(np.where(values == high[bucket], row, n), starts)
+    rising = first_low <= first_high
+    pairs = np.stack([np.where(rising, low, high), np.where(rising, high, low)], axis=1)
+    times = np.stack([time[starts], time[ends]], axis=1)
+    keep = np.stack([np.ones_like(starts, dtype=bool), ends > starts], axis=1).ravel()
+    return times.ravel()[keep], pairs.reshape(-1, values.shape[1])[keep]
+
+
+def changes(states: NDArray[Any]) -> NDArray[np.intp]:
+    """Rows at which the state differs from the row before, the first row included.
+
+    >>> changes(np.array(["a", "a", "b", "a"])).tolist()
+    [0, 2, 3]
+    """
+    if not len(states):
+        return np.zeros(0, dtype=np.intp)
+    return np.flatnonzero(np.append(True, states[1:] != states[:-1]))
+
+
+def lane(time: Array, states: NDArray[Any]) -> tuple[Array, list[str]]:
+    """Times and names of the states' changes; gaps and the end of the log end a state (``""``).
+
+    ``time`` has shape (n,) and rises, ``states`` (n,) are text, ``""`` where there is none.
+    """
+    rows = gap_rows(time)
+    step = usual_step(time)
+    full = np.insert(states.astype(object), rows + 1, "")
+    times = np.insert(time, rows + 1, time[rows] + step)
+    at = changes(full)
+    ends = [] if not time.size else [time[-1] + step]
+    return np.append(times[at], ends), [*full[at].tolist(), *("" for _ in ends)]
+
+
+def spans(time: Array, active: NDArray[np.bool_]) -> list[tuple[float, float]]:
+    """Start and end in s of each run of true rows; a run ends at the first false row or the last row.
+
+    >>> spans(np.arange(5.0), np.array([False, True, True, False, True]))
+    [(1.0, 3.0), (4.0, 4.0)]
+    """
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], active.astype(np.int8), [0]])))
+    last = time.size - 1
+    return [(float(time[a]), float(time[min(b, last)])) for a, b in edges.reshape(-1, 2)]

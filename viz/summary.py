@@ -1,0 +1,267 @@
+"""A diagnosis in words: what, since when, how sure, why, on what data, by which detector (Markdown)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import PurePath
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from ingest.log import Event, Log
+from stages.results import Diagnosis, Magnitude, Verdict
+from viz.lanes import regime_name, truth
+from viz.residuals import column, names, telling_rows
+
+REASONS = 3
+REGIME_ROWS = 40
+
+
+def summary(diagnosis: Diagnosis) -> str:
+    """The whole summary of a run."""
+    verdict, log = diagnosis.verdict, diagnosis.log
+    parts = [
+        f"## {headline(verdict)}",
+        table(("", "verdict"), _verdict_rows(verdict, truth(log))),
+        "### Why\n" + _bullets(reasons(diagnosis)),
+        "### Data\n" + _bullets(_data(diagnosis)),
+        "### Provenance\n" + _provenance(verdict, log),
+    ]
+    return "\n\n".join(part for part in parts if part)
+
+
+def headline(verdict: Verdict) -> str:
+    """The verdict as a title.
+
+    >>> headline(Verdict(log="a", recipe="r", detector=None, fault="boost_leak"))
+    'boost_leak'
+    """
+    plain = {
+        "none": "No fault found",
+        "insufficient_evidence": "Too little usable data for a verdict",
+        "unknown": "A fault that no hypothesis explains",
+    }
+    signal = f" ({verdict.signal})" if verdict.signal else ""
+    return plain.get(verdict.fault, verdict.fault.replace("+", " + ") + signal)
+
+
+def magnitude_text(magnitude: Magnitude) -> str:
+    """A magnitude as people write it.
+
+    >>> magnitude_text(Magnitude(value=-0.1, sd=0.004, unit="1"))
+    '-10.0 ± 0.4 %'
+    >>> magnitude_text(Magnitude(value=4.02, sd=None, unit="mm"))
+    '4.02 mm'
+    """
+    scale, unit = (100.0, "%") if magnitude.unit == "1" else (1.0, magnitude.unit)
+    value = magnitude.value * scale
+    if magnitude.sd is None:
+        return f"{value:.3g} {unit}"
+    digits = max(0, 1 - int(np.floor(np.log10(magnitude.sd * scale)))) if magnitude.sd > 0 else 1
+    digits = min(digits, 1 if unit == "%" else 2)
+    return f"{value:.{digits}f} ± {magnitude.sd * scale:.{digits}f} {unit}"
+
+
+def _verdict_rows(verdict: Verdict, injected: list[Event]) -> list[tuple[str, str]]:
+    delay = detection_delay(verdict, injected)
+    rows = [
+        ("Onset", None if verdict.onset_s is None else f"{verdict.onset_s:.1f} s"),
+        ("Detected", None if verdict.detected_s is None else f"{verdict.detected_s:.1f} s"),
+        ("Magnitude", magnitude_text(verdict.magnitude) if verdict.magnitude else None),
+        ("Probability", probabilities(verdict)),
+        *(("Injected", injected_text(event)) for event in injected),
+        ("Against the truth", agreement(verdict, injected) if injected else None),
+        ("Delay", None if delay is None else f"{delay:.1f} s"),
+    ]
+    return [(name, text) for name, text in rows if text]
+
+
+def injected_text(event: Event) -> str:
+    """An injected fault with its size and time."""
+    size = ""
+    if event.magnitude is not None:
+        size = " " + magnitude_text(Magnitude(value=event.magnitude, sd=None, unit=event.unit or "1"))
+    end = "" if event.t_end is None else f" to {event.t_end:.1f} s"
+    return f"{event.kind}{size} from {event.t_start:.1f} s{end}"
+
+
+def agreement(verdict: Verdict, injected: Iterable[Event]) -> str:
+    """Whether the verdict names what was injected."""
+    faults = {part for event in injected for part in event.kind.split("+")}
+    named = set(verdict.fault.split("+"))
+    if named == faults:
+        return "correct"
+    if verdict.fault in ("none", "insufficient_evidence"):
+        return "missed"
+    return "one of the injected faults" if named <= faults else "wrong"
+
+
+def detection_delay(verdict: Verdict, injected: Iterable[Event]) -> float | None:
+    """Detection minus the start of the injection it answers to, s: the last one begun before it."""
+    if verdict.detected_s is None:
+        return None
+    begun = [event.t_start for event in injected if event.t_start <= verdict.detected_s]
+    return verdict.detected_s - max(begun) if begun else None
+
+
+def probabilities(verdict: Verdict) -> str:
+    """The four most probable hypotheses; what is below 0.1 % is left out."""
+    ranked = sorted(verdict.probability.items(), key=lambda item: -item[1])[:4]
+    return ", ".join(f"{fault} {p:.1%}" for fault, p in ranked if p >= 0.001)
+
+
+def reasons(diagnosis: Diagnosis) -> list[str]:
+    """The strongest residuals in words, over the rows in alarm or, without an alarm, over all rows."""
+    samples = diagnosis.samples
+    rows = telling_rows(samples)
+    when = "in alarm" if samples["detection"].max() else "over the whole log"
+    found = []
+    for name, _ in names(samples):
+        z = column(samples, f"z.{name}")[rows]
+        z = z[np.isfinite(z)]
+        if z.size:
+            found.append((abs(z.mean()), _in_words(name, z, when)))
+    lines = [text for _, text in sorted(found, reverse=True)[:REASONS]]
+    return lines + _runner_up(diagnosis.verdict, samples.filter(pl.Series(rows)))
+
+
+def _in_words(name: str, z: Any, when: str) -> str:
+    mean, beyond = float(z.mean()), float((np.abs(z) > 3.0).mean())
+    side = "above" if mean > 0 else "below"
+    strength = "far" if abs(mean) >= 3.0 else "clearly" if abs(mean) >= 1.0 else "hardly"
+    numbers = f"mean {mean:+.1f} sigma, {beyond:.0%} beyond 3 sigma"
+    return f"**{name}** is {strength} {side} expectation {when}: {numbers}"
+
+
+def _runner_up(verdict: Verdict, samples: pl.DataFrame) -> list[str]:
+    """How much more evidence the verdict has than the next hypothesis, at its strongest row."""
+    own = f"evidence.{verdict.fault}"
+    if own not in samples.columns or not samples.height:
+        return []
+    at = samples.row(samples[own].fill_nan(None).arg_max() or 0, named=True)
+    others = {k: v for k, v in at.items() if k.startswith("evidence.") and k != own and v is not None}
+    if not others or at[own] is None:
+        return []
+    second = max(others, key=lambda name: others[name])
+    lead = at[own] - others[second]
+    return [
+        f"evidence for {verdict.fault}: {at[own]:.0f} (log-likelihood ratio to none), "
+        f"{abs(lead):.0f} {'more' if lead >= 0 else 'less'} than for {second.removeprefix('evidence.')}"
+    ]
+
+
+def _data(diagnosis: Diagnosis) -> list[str]:
+    samples, verdict = diagnosis.samples, diagnosis.verdict
+    lines = []
+    if "in_domain" in samples.columns and samples.height:
+        inside = float(samples["in_domain"].mean() or 0.0)  # type: ignore[arg-type]
+        lines.append(f"{inside:.0%} of {samples.height} samples in regimes known from training")
+    lines += [f"{key.replace('_', ' ')}: {_short(value)}" for key, value in verdict.quality.items()]
+    return lines + quality_events(diagnosis.log) + flagged(diagnosis.log)
+
+
+def quality_events(log: Log) -> list[str]:
+    """Remarks of the readers on the data, counted by kind and channel."""
+    counted: dict[tuple[str, str], int] = {}
+    for event in log.events:
+        if event.source == "quality":
+            key = (event.kind, event.channel or "all channels")
+            counted[key] = counted.get(key, 0) + 1
+    shown = [f"{kind} × {n} ({channel})" for (kind, channel), n in list(counted.items())[:8]]
+    return shown + ([f"… and {len(counted) - 8} more kinds of remarks"] if len(counted) > 8 else [])
+
+
+def flagged(log: Log) -> list[str]:
+    """Signals whose reader left a flag, by flag."""
+    by_flag: dict[str, list[str]] = {}
+    for name, signal in log.signals.items():
+        for flag in signal.flags:
+            by_flag.setdefault(flag, []).append(name)
+    return [f"{flag}: {', '.join(n[:6])}{' …' if len(n) > 6 else ''}" for flag, n in by_flag.items()]
+
+
+def _provenance(verdict: Verdict, log: Log) -> str:
+    rows = [("log", verdict.log), ("recipe", verdict.recipe), ("detector", verdict.detector or "none")]
+    return table(("", "value"), rows + facts(log))
+
+
+def facts(log: Log) -> list[tuple[str, str]]:
+    """Facts about the source that fit on a line."""
+    plain = {k: v for k, v in log.facts.items() if isinstance(v, str | int | float) and v != ""}
+    if "file" in plain:
+        plain["file"] = PurePath(str(plain["file"])).name
+    return [(key.replace("_", " "), _short(value)) for key, value in plain.items()][:12]
+
+
+def regime_table(diagnosis: Diagnosis) -> str:
+    """Per residual and regime: samples, mean, sd, the sigma expected, and the mean z without and in alarm."""
+    samples = diagnosis.samples.with_columns(alarm=pl.col("detection") > 0)
+    parts = []
+    for name, source in names(samples):
+        value, sigma, z = (
+            pl.col(c).cast(pl.Float64).fill_nan(None) for c in (source, f"sigma.{name}", f"z.{name}")
+        )
+        rows = samples.group_by("regime").agg(
+            value.count().alias("samples"),
+            value.mean().alias("mean"),
+            value.std().alias("sd"),
+            sigma.median().alias("sigma"),
+            z.filter(~pl.col("alarm")).mean().alias("z, no alarm"),
+            z.filter(pl.col("alarm")).mean().alias("z in alarm"),
+        )
+        rows = rows.sort("regime", nulls_last=True).head(REGIME_ROWS)
+        body = [
+            [regime_name(-1 if r is None else r) or "–", *map(_number, rest)] for r, *rest in rows.iter_rows()
+        ]
+        parts.append(f"### {name} [{diagnosis.units.get(name, '1')}]\n" + table(rows.columns, body))
+    return "\n\n".join(parts)
+
+
+def log_summary(log: Log, *, reduced: Iterable[str], left_out: Iterable[str]) -> str:
+    """A log without a run: groups, rates, truth, remarks, facts."""
+    rows = [
+        (g.name, str(g.frame.height), str(len(g.signals)), f"{g.rate_hz:.4g} Hz") for g in log.groups.values()
+    ]
+    remarks = [f"group {name}: drawn as least and greatest of each stretch" for name in reduced]
+    remarks += [f"{name}: neither number nor text, not drawn" for name in left_out]
+    remarks += quality_events(log) + flagged(log)
+    parts = [
+        f"## {log.name}",
+        table(("group", "rows", "signals", "rate"), rows),
+        "### Injected faults\n" + _bullets(map(injected_text, truth(log))) if truth(log) else "",
+        "### Remarks\n" + _bullets(remarks) if remarks else "",
+        "### Source\n" + table(("", "value"), facts(log)) if facts(log) else "",
+    ]
+    return "\n\n".join(part for part in parts if part)
+
+
+def table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
+    """A Markdown table.
+
+    >>> print(table(("a", "b"), [("1", "x|y")]))
+    | a | b |
+    | --- | --- |
+    | 1 | x\\|y |
+    """
+    lines = [list(head)]
+    body = [[cell.replace("|", "\\|").replace("\n", " ") for cell in row] for row in rows]
+    lines += [["---"] * len(lines[0]), *body]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def _bullets(lines: Iterable[str]) -> str:
+    return "\n".join(f"- {line}" for line in lines)
+
+
+def _number(value: Any) -> str:
+    return "–" if value is None else str(value) if isinstance(value, int) else f"{value:.3g}"
+
+
+def _short(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    if isinstance(value, Mapping):
+        return ", ".join(f"{k} {_short(v)}" for k, v in list(value.items())[:6])
+    text = str(value)
+    return text if len(text) <= 60 else text[:24] + "…"
