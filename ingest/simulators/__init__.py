@@ -1,0 +1,3 @@
+"""Simulators: logs with known faults, from first principles."""
+
+from __future__ import annotations
