@@ -1,0 +1,132 @@
+"""How a text table is written: what stands above the data, separator, decimal sign, names and units.
+
+Benches put lines about the test above the names, and a row of units (or more) below. The row of names is the
+one with a time column that is followed by a row of as many fields whose time is a number.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from ingest.clock import no_time, split_unit, time_column
+from ingest.errors import LogError
+from ingest.log import TIME
+from ingest.maps import TimeMap
+from ingest.units import find_unit
+
+SEPARATORS = (";", "\t", ",", "|")
+_NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?")
+_COMMA_NUMBER = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
+_LOOK_AHEAD = 8  # rows between names and data: units, rasters, descriptions
+_SAMPLE = 200  # rows that decide about the decimal sign
+
+
+@dataclass(frozen=True, kw_only=True)
+class Column:
+    """One column: its name, unique and ``time`` for the time; the unit with it; its head as written."""
+
+    name: str
+    unit: str | None
+    written: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Dialect:
+    """``start``: byte at which the data begin. ``time``: index of the time column."""
+
+    separator: str
+    decimal_comma: bool
+    columns: tuple[Column, ...]
+    time: int
+    start: int
+    above: tuple[str, ...]
+
+
+def sniff(where: str, head: bytes, time: TimeMap) -> Dialect:
+    """The dialect of a table that begins with ``head`` (UTF-8).
+
+    Raises:
+        LogError: no row of names with a time column, or no data below it.
+    """
+    lines = head.split(b"\n")
+    text = [line.decode("utf-8", "replace").rstrip("\r") for line in lines]
+    found = [f for sep in SEPARATORS if (f := _find(text, sep, time)) is not None]
+    if not found:
+        raise _not_found(where, text, time)
+    separator, at, first = max(found, key=lambda f: len(_split(text[f[1]], f[0])))
+    rows = [_split(line, separator) for line in text[at:first]]
+    sample = [_split(line, separator) for line in text[first : first + _SAMPLE]]
+    width = len(_split(text[first], separator))
+    clock = rows[0].index(str(time_column(rows[0], time)))
+    return Dialect(
+        separator=separator,
+        decimal_comma=separator != "," and any(_COMMA_NUMBER.fullmatch(c) for row in sample for c in row),
+        columns=_columns(rows[0], _unit_row(rows), width, clock),
+        time=clock,
+        start=sum(len(line) + 1 for line in lines[:first]),
+        above=tuple(text[:at]),
+    )
+
+
+def _split(line: str, separator: str) -> list[str]:
+    fields = next(csv.reader([line], delimiter=separator), [])
+    return [f.strip() for f in fields]
+
+
+def _find(text: Sequence[str], separator: str, time: TimeMap) -> tuple[str, int, int] | None:
+    """Separator, index of the row of names and index of the first row of data."""
+    for at, line in enumerate(text):
+        names = _split(line, separator)
+        wanted = time_column(names, time) if len(names) > 1 else None
+        if wanted is None:
+            continue
+        column = names.index(wanted)
+        for first, below in enumerate(text[at + 1 : at + 1 + _LOOK_AHEAD], at + 1):
+            row = _split(below, separator)
+            fits = len(row) == len(names) or (len(row) == len(names) + 1 and not row[-1])
+            if fits and _NUMBER.fullmatch(row[column]):
+                return separator, at, first
+    return None
+
+
+def _not_found(where: str, text: Sequence[str], time: TimeMap) -> LogError:
+    rows = [(_split(line, sep), sep) for sep in SEPARATORS for line in text if line.strip()]
+    if not rows:
+        return LogError(f"{where}: the file is empty; expected a row of names and rows of numbers")
+    names, separator = max(rows, key=lambda r: (len(r[0]), not any(_NUMBER.fullmatch(f) for f in r[0])))
+    if len(names) < 2:
+        return LogError(f"{where}: not a table: no line has two fields separated by one of ; tab , |")
+    if all(_NUMBER.fullmatch(f) for f in names if f):
+        return LogError(f"{where}: no row of names above the numbers; put one there, one name a column")
+    if time_column(names, time) is None:
+        return no_time(where, names, time)
+    return LogError(
+        f"{where}: no samples: below the names {separator.join(names)[:60]!r} "
+        f"there is no row of {len(names)} fields whose time is a number"
+    )
+
+
+def _unit_row(rows: Sequence[Sequence[str]]) -> Sequence[str]:
+    """Of the rows between names and data the one with most known units, if any has one."""
+    known = [sum(find_unit(f) is not None for f in row if f) for row in rows[1:]]
+    return rows[1 + known.index(max(known))] if any(known) else ()
+
+
+def _columns(names: Sequence[str], units: Sequence[str], width: int, clock: int) -> tuple[Column, ...]:
+    columns: list[Column] = []
+    taken = {TIME}
+    for i in range(width):
+        written = names[i] if i < len(names) else ""
+        name, unit = split_unit(written)
+        unit = (units[i].strip("[] ") if i < len(units) else "") or unit
+        unique = name = TIME if i == clock else name or f"column_{i + 1}"
+        n = 1
+        while unique in taken and i != clock:
+            n += 1
+            unique = f"{name}_{n}"
+        taken.add(unique)
+        columns.append(Column(name=unique, unit=unit or None, written=written))
+    return tuple(columns)

@@ -1,0 +1,183 @@
+"""The way in and out: find logs, read any supported file as a :class:`Log`, write one whole or not at all."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from glob import glob, has_magic
+from pathlib import Path
+from typing import cast
+from urllib.parse import unquote, urlsplit
+
+from ingest.errors import LogError, did_you_mean
+from ingest.log import Log
+from ingest.maps import NameMap, apply_map, load_map
+from ingest.readers import FORMATS, Reader, Recording, Writer, reader
+
+WRITERS = {".parquet": "parquet", ".csv": "csv"}
+"""Suffix -> format, for those formats that can be written."""
+
+
+def read_log(path: str | Path, map: NameMap | str | Path | None = None) -> Log:
+    """Reads a log of any supported format, found by its content, in canonical names and units.
+
+    A file that :func:`write_log` wrote comes back as it was; of any other the facts ``file``, ``format`` and
+    ``sha256`` are noted.
+
+    Raises:
+        LogError: no such file, no known format, damaged, or without samples.
+        MapError: the map is wrong.
+        UnitError: a canonical signal is in a unit that cannot be converted.
+    """
+    path, names = Path(path), _names(map)
+    with _readable(path):
+        name, module = _format(path)
+        found = module.read(path, names)
+        if not found.ours:
+            source = {"file": path.name, "format": name, "sha256": sha256(path)}
+            found = Recording(replace(found.log, facts={**source, **found.log.facts}))
+    return _canonical(found, names, map is not None)
+
+
+def read_header(path: str | Path, map: NameMap | str | Path | None = None) -> Log:
+    """The log without its rows, from as little of the file as its format allows.
+
+    The fact ``rows`` counts the rows by group where the format knows.
+    """
+    path, names = Path(path), _names(map)
+    with _readable(path):
+        found = _format(path)[1].header(path, names)
+    return _canonical(found, names, map is not None)
+
+
+def write_log(log: Log, path: str | Path) -> Path:
+    """Writes a log; the suffix picks the format. The file appears whole or not at all.
+
+    MCAP and Parquet keep everything: values, types, signals, events, facts, the order of the groups, the
+    name. CSV keeps all but the types and the separate rasters.
+
+    Raises:
+        LogError: no such format, or the file cannot be written.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in WRITERS:
+        raise LogError(f"{path}: cannot write {path.suffix!r} files; {did_you_mean(path.suffix, WRITERS)}")
+    writer = cast(Writer, reader(WRITERS[path.suffix.lower()]))
+    aside = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        writer.write(log, aside)
+        aside.replace(path)
+    except OSError as error:
+        raise LogError(f"{path} cannot be written: {error.strerror or error}") from error
+    finally:
+        aside.unlink(missing_ok=True)
+    return path
+
+
+def find_logs(patterns: Iterable[str | Path]) -> list[Path]:
+    """The files meant by files, folders, globs, ``file://`` URLs and ``@list.txt`` (one of these a line).
+
+    Of a folder its own files with a suffix of a known format count, in order of their names. Each file counts
+    once, where it is meant first.
+
+    Raises:
+        LogError: some of them mean nothing; all such are listed.
+    """
+    found: dict[Path, None] = {}
+    mistakes: list[str] = []
+    for pattern in patterns:
+        found |= dict.fromkeys(_meant(str(pattern), mistakes))
+    if mistakes:
+        raise LogError("\n".join(mistakes))
+    return list(found)
+
+
+def unique_stems(paths: Sequence[Path]) -> list[str]:
+    """A folder name for each log: its stem, and for equal stems ``<stem>-<8 hex digits of its sha256>``."""
+    stems = [p.stem for p in paths]
+    return [s if stems.count(s) == 1 else f"{s}-{sha256(p)[:8]}" for s, p in zip(stems, paths, strict=True)]
+
+
+def sha256(path: Path) -> str:
+    """Digest of a file's content."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _names(map: NameMap | str | Path | None) -> NameMap:
+    return map if isinstance(map, NameMap) else NameMap() if map is None else load_map(map)
+
+
+def _canonical(found: Recording, names: NameMap, mapped: bool) -> Log:
+    return found.log if found.ours and not mapped else apply_map(found.log, names)
+
+
+@contextmanager
+def _readable(path: Path) -> Iterator[None]:
+    try:
+        if not path.exists():
+            siblings = [p.name for p in path.parent.iterdir()] if path.parent.is_dir() else []
+            raise LogError(f"{path}: there is no such file; {did_you_mean(path.name, siblings)}")
+        if path.is_dir():
+            raise LogError(f"{path} is a folder; expected a file")
+        yield
+    except OSError as error:
+        raise LogError(f"{path} cannot be read: {error.strerror or error}") from error
+
+
+def _format(path: Path) -> tuple[str, Reader]:
+    with path.open("rb") as file:
+        head = file.read(4096)
+    for name in FORMATS:
+        module = reader(name)
+        if module.is_mine(path, head):
+            return name, module
+    raise LogError(
+        f"{path}: not a log of a known format ({', '.join(FORMATS)}); it begins with {head[:12]!r}"
+    )
+
+
+def _meant(pattern: str, mistakes: list[str]) -> list[Path]:
+    url = urlsplit(pattern)
+    if len(url.scheme) > 1 and "//" in pattern:
+        if url.scheme == "file":
+            return _meant(unquote(url.path), mistakes)
+        mistakes.append(f"{pattern}: {url.scheme} addresses cannot be read; fetch the file first")
+        return []
+    if pattern.startswith("@") and not Path(pattern).exists():
+        return _listed(Path(pattern[1:]), mistakes)
+    path = Path(pattern)
+    if path.is_file():
+        return [path]
+    if path.is_dir():
+        suffixes = [s for known in FORMATS.values() for s in known]
+        files = sorted(p for p in path.iterdir() if p.suffix.lower() in suffixes and p.name[0] != ".")
+        if not files:
+            mistakes.append(
+                f"{pattern}: no logs in this folder; expected files ending in {' '.join(suffixes)}"
+            )
+        return files
+    if has_magic(pattern):
+        files = sorted(p for p in map(Path, glob(pattern, recursive=True)) if p.is_file())
+        if not files:
+            mistakes.append(f"{pattern}: no file fits this pattern")
+        return files
+    siblings = [p.name for p in path.parent.iterdir()] if path.parent.is_dir() else []
+    mistakes.append(f"{pattern}: there is no such file; {did_you_mean(path.name, siblings)}")
+    return []
+
+
+def _listed(path: Path, mistakes: list[str]) -> list[Path]:
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        mistakes.append(f"@{path}: the list cannot be read: {error}")
+        return []
+    wanted = [line.strip() for line in lines if line.strip() and not line.lstrip().startswith("#")]
+    if not wanted:
+        mistakes.append(f"@{path}: the list is empty")
+    return [file for line in wanted for file in _meant(line, mistakes)]
