@@ -169,7 +169,7 @@ def _map_view() -> rrb.Spatial2DView:
 
 
 def _signal_view(panel: Panel) -> rrb.TimeSeriesView:
-    return _plot(panel.title, panel.entities, legend=len(panel.signals) > 1)
+    return _plot(panel.title, panel.entities, panel.range, legend=len(panel.signals) > 1)
 
 
 def _residual_view(residual: Residual, legend: bool = False) -> rrb.TimeSeriesView:

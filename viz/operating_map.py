@@ -12,7 +12,7 @@ from stages.results import Diagnosis, OperatingMap
 from viz import send
 from viz.colours import DIM, GREY, WHITE, of_index, ramp
 from viz.lanes import regime_name
-from viz.series import Array
+from viz.series import Array, limits, tick_step
 
 WIDTH, HEIGHT = 100.0, 75.0
 SAMPLES = 6000
@@ -44,25 +44,6 @@ class Axes:
         return np.stack([x, y], axis=1)
 
 
-def tick_step(low: float, high: float) -> float:
-    """A step of 1, 2 or 5 times a power of ten that gives four to ten ticks.
-
-    >>> tick_step(800.0, 4300.0)
-    500.0
-    """
-    rough = (high - low) / 8.0
-    power = 10.0 ** np.floor(np.log10(rough))
-    return float(power * min((m for m in (1.0, 2.0, 5.0, 10.0) if m * power >= rough), default=10.0))
-
-
-def limits(low: float, high: float) -> tuple[float, float]:
-    """``low`` and ``high`` widened to whole ticks, and to something where they are equal."""
-    if not high > low:
-        low, high = low - 0.5, low + 0.5
-    step = tick_step(low, high)
-    return float(np.floor(low / step) * step), float(np.ceil(high / step) * step)
-
-
 def log_operating_map(rec: rr.RecordingStream, diagnosis: Diagnosis, plane: OperatingMap) -> None:
     """The map below ``/map`` and the self-organising map below ``/som``."""
     data = np.stack([plane.x, plane.y], axis=1)
@@ -87,7 +68,7 @@ def _log_frame(rec: rr.RecordingStream, axes: Axes, plane: OperatingMap) -> None
             text.append(f"{value:.6g}")
     rec.log(f"{MAP}/grid", rr.LineStrips2D(grid, colors=DIM, radii=rr.Radius.ui_points(0.5)), static=True)
     _log_text(rec, f"{MAP}/ticks", at, text, GREY)
-    ends = [[WIDTH / 2, 7.5], [4.0, -HEIGHT - 4.5]]
+    ends = [[WIDTH / 2, 7.5], [8.0, -HEIGHT - 4.5]]
     _log_text(rec, f"{MAP}/axes", ends, [plane.x_label, plane.y_label], WHITE)
 
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import os
 import re
 import socket
+import subprocess
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,7 +15,7 @@ from rerun.experimental import ViewerClient
 
 from ingest.errors import DynoscopeError
 from viz.send import TIMELINE
-from viz.viewer import executable
+from viz.viewer import free_port, start
 
 DRIVERS = Path("/usr/share/vulkan/icd.d")
 TIMEOUT_S = 120.0
@@ -57,26 +57,23 @@ def _viewer() -> Iterator[ViewerClient]:
             f"pictures need a software Vulkan driver, and there is none in {DRIVERS}; "
             "install it, on Debian: apt-get install libvulkan1 mesa-vulkan-drivers"
         )
-    before = os.environ.get("VK_ICD_FILENAMES")
-    os.environ["VK_ICD_FILENAMES"] = str(driver)  # the viewer inherits it
-    try:
-        viewer = ViewerClient.spawn(
-            headless=True, port=_free_port(), hide_welcome_screen=True, executable_path=str(executable())
-        )
-    finally:
-        os.environ.pop("VK_ICD_FILENAMES")
-        if before is not None:
-            os.environ["VK_ICD_FILENAMES"] = before
-    try:
-        yield viewer
-    finally:
-        viewer.quit()
+    port = free_port()
+    options = ["--headless", "--hide-welcome-screen", "--port", str(port)]
+    with start(options, VK_ICD_FILENAMES=str(driver), RUST_LOG="off") as process:
+        try:
+            yield _connected(process, port)
+        finally:
+            process.terminate()
 
 
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+def _connected(process: subprocess.Popen[bytes], port: int) -> ViewerClient:
+    deadline = time.monotonic() + TIMEOUT_S
+    while time.monotonic() < deadline and process.poll() is None:
+        with socket.socket() as probe:
+            if probe.connect_ex(("127.0.0.1", port)) == 0:
+                return ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy")
+        time.sleep(0.05)
+    raise DynoscopeError(f"the viewer did not start (status {process.poll()}); is {DRIVERS} complete?")
 
 
 def _open(viewer: ViewerClient, recording: Path) -> None:

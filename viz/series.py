@@ -98,3 +98,28 @@ def spans(time: Array, active: NDArray[np.bool_]) -> list[tuple[float, float]]:
     edges = np.flatnonzero(np.diff(np.concatenate([[0], active.astype(np.int8), [0]])))
     last = time.size - 1
     return [(float(time[a]), float(time[min(b, last)])) for a, b in edges.reshape(-1, 2)]
+
+
+def tick_step(low: float, high: float) -> float:
+    """A step of 1, 2 or 5 times a power of ten that gives four to ten ticks.
+
+    >>> tick_step(800.0, 4300.0)
+    500.0
+    """
+    rough = (high - low) / 8.0
+    power = 10.0 ** np.floor(np.log10(rough))
+    return float(power * min((m for m in (1.0, 2.0, 5.0, 10.0) if m * power >= rough), default=10.0))
+
+
+def limits(low: float, high: float) -> tuple[float, float]:
+    """``low`` and ``high`` widened to whole ticks, and to something where they hardly differ.
+
+    >>> limits(812.0, 4290.0), limits(7.0, 7.0)
+    ((500.0, 4500.0), (6.5, 7.5))
+    """
+    if not np.isfinite(high - low) or max(abs(low), abs(high)) > 1e12:
+        return low, high
+    if high - low < 1e-9 * max(abs(low), abs(high), 1.0):
+        low, high = low - 0.5, high + 0.5
+    step = tick_step(low, high)
+    return float(np.floor(low / step) * step), float(np.ceil(high / step) * step)

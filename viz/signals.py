@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ingest.log import Group, Log
 from viz import send
 from viz.colours import of_index
-from viz.series import Array, break_at_gaps, envelope, lane
+from viz.series import Array, break_at_gaps, envelope, lane, limits
 
 FULL_ROWS = 200_000
 """A group with more rows is drawn as its envelope ..."""
@@ -29,6 +29,8 @@ class Panel:
     title: str
     signals: tuple[str, ...]
     entities: tuple[str, ...]
+    range: tuple[float, float]
+    """Round limits around all values, so that the scale has ticks."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,15 +93,23 @@ def _log_panel(rec: rr.RecordingStream, log: Log, unit: str | None, names: list[
     by_group: dict[str, list[str]] = defaultdict(list)
     for key, group in log.groups.items():
         by_group[key] += [name for name in names if name in group.signals]
-    entities = []
+    entities, extremes = [], []
     for key, members in by_group.items():
         if members:
             entities.append(send.entity("signals", key, f"{members[0]} [{unit or '?'}]"))
             colours = [of_index(names.index(name)) for name in members]
             time, values = curves(log.groups[key], members)
             send.lines(rec, entities[-1], time, values, names=members, colours=colours)
+            extremes += [
+                f(values[np.isfinite(values)]) for f in (np.min, np.max) if np.isfinite(values).any()
+            ]
     shown = ", ".join(names) if len(names) <= 4 else f"{', '.join(names[:3])} … ({len(names)})"
-    return Panel(title=f"{shown} [{unit or 'unit unknown'}]", signals=tuple(names), entities=tuple(entities))
+    return Panel(
+        title=f"{shown} [{unit or 'unit unknown'}]",
+        signals=tuple(names),
+        entities=tuple(entities),
+        range=limits(min(extremes, default=0.0), max(extremes, default=1.0)),
+    )
 
 
 def curves(group: Group, names: list[str]) -> tuple[Array, Array]:

@@ -23,7 +23,7 @@ def summary(diagnosis: Diagnosis) -> str:
     verdict, log = diagnosis.verdict, diagnosis.log
     parts = [
         f"## {headline(verdict)}",
-        table(("", "verdict"), _verdict_rows(verdict, truth(log))),
+        table(("", verdict.log), _verdict_rows(verdict, truth(log))),
         "### Why\n" + _bullets(reasons(diagnosis)),
         "### Data\n" + _bullets(_data(diagnosis)),
         "### Provenance\n" + _provenance(verdict, log),

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import os
 import shutil
+import socket
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from ingest.errors import DynoscopeError, LogError
@@ -40,10 +41,31 @@ def show(*sources: Path | Log, web: bool = False, save: Path | None = None) -> N
         if save is not None:
             merge(recordings, save)
         elif web:
-            _watch(["--serve-web", "--bind", "127.0.0.1"], recordings)
+            page, data = free_port(9090), free_port(9876)
+            url = f"http://127.0.0.1:{page}/?url=rerun%2Bhttp%3A%2F%2F127.0.0.1%3A{data}%2Fproxy"
+            print(f"open {url} in a browser; stop with Ctrl-C", file=sys.stderr, flush=True)
+            _watch(["--serve-web", "--web-viewer-port", str(page), "--port", str(data)], recordings)
         else:
             _check_display()
             _watch(["--port", "auto"], recordings)
+
+
+def is_recording(path: Path) -> bool:
+    """Whether ``path`` is a file that begins as Rerun's recordings do."""
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        return file.read(len(MAGIC)) == MAGIC
+
+
+def is_run(path: Path) -> bool:
+    """Whether ``path`` is a run's folder or a folder of runs that left timelines."""
+    return path.is_dir() and any(_timelines(path))
+
+
+def _timelines(folder: Path) -> Iterator[Path]:
+    own = folder / TIMELINE_FILE
+    yield from [own] if own.is_file() else sorted(folder.glob(f"*/{TIMELINE_FILE}"))
 
 
 def timelines_in(path: Path) -> list[Path]:
@@ -52,24 +74,16 @@ def timelines_in(path: Path) -> list[Path]:
     Raises:
         LogError: there is none.
     """
-    if path.is_file():
-        with path.open("rb") as file:
-            if file.read(len(MAGIC)) == MAGIC:
-                return [path]
-        raise LogError(f"{path} is not a Rerun recording; expected an .rrd file, a run's folder or a log")
+    if is_recording(path):
+        return [path]
+    if found := list(_timelines(path)):
+        return found
+    expected = "expected a Rerun recording, a run's folder or a folder of runs"
     if not path.is_dir():
-        raise LogError(f"{path} does not exist; expected an .rrd file, a run's folder or a log")
-    found = (
-        [path / TIMELINE_FILE]
-        if (path / TIMELINE_FILE).is_file()
-        else sorted(path.glob(f"*/{TIMELINE_FILE}"))
+        raise LogError(f"{path} {'is something else' if path.exists() else 'does not exist'}; {expected}")
+    raise LogError(
+        f"{path} holds no {TIMELINE_FILE}; {expected}. Run without --no-timeline to have it written"
     )
-    if not found:
-        raise LogError(
-            f"folder {path} has nothing to show: no {TIMELINE_FILE} in it nor in its folders. "
-            "Run without --no-timeline to have them written"
-        )
-    return found
 
 
 def merge(recordings: Sequence[Path], path: Path) -> None:
@@ -107,11 +121,30 @@ def _check_display() -> None:
         raise DynoscopeError(f"there is no display to open a viewer on; {_NO_VIEWER}")
 
 
-def _watch(options: list[str], recordings: Sequence[Path]) -> None:
+def free_port(wanted: int = 0) -> int:
+    """``wanted`` if it is free on this machine, else one that is."""
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind(("127.0.0.1", wanted))
+        except OSError:
+            return free_port()
+        return int(probe.getsockname()[1])
+
+
+def start(options: Sequence[str], **environment: str) -> subprocess.Popen[bytes]:
+    """Start the viewer; it is reachable from this machine only."""
+    command = [str(executable()), "--bind", "127.0.0.1", *options]
+    return subprocess.Popen(command, env={"RUST_LOG": "warn", **os.environ, **environment})
+
+
+def _watch(options: Sequence[str], recordings: Sequence[Path]) -> None:
     """Run the viewer until it is closed or interrupted."""
-    try:
-        status = subprocess.run([str(executable()), *options, *map(str, recordings)], check=False).returncode
-    except KeyboardInterrupt:
-        return
+    with start([*options, *map(str, recordings)]) as viewer:
+        try:
+            status = viewer.wait()
+        except KeyboardInterrupt:
+            viewer.terminate()
+            return
     if status:
         raise DynoscopeError(f"the Rerun viewer ended with status {status}; {_NO_VIEWER}")
