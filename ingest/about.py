@@ -1,19 +1,18 @@
-"""What a file of ours says about its log beside the numbers: one JSON text, the same in every format."""
+"""What a file of ours says about its log beside the numbers: one JSON text."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from typing import Any
 
 from ingest.errors import LogError
-from ingest.log import Event, Log
+from ingest.log import Log
 
 VERSION = 1
 
 
-def about_json(log: Log) -> str:
-    """Name, groups with their rows and signals, signals, events and facts of ``log``.
+def about_json(log: Log, **more: Any) -> str:
+    """Name, groups with their rows and signals, and facts of ``log``, and what a format has no place for.
 
     Raises:
         LogError: a fact is not a JSON value.
@@ -23,9 +22,8 @@ def about_json(log: Log) -> str:
         "version": VERSION,
         "name": log.name,
         "groups": groups,
-        "signals": {n: pairs for n, s in log.signals.items() if (pairs := s.to_metadata())},
-        "events": [e.to_json() for e in log.events],
         "facts": dict(log.facts),
+        **more,
     }
     try:
         return json.dumps(about, ensure_ascii=False)
@@ -51,8 +49,3 @@ def parse_about(where: str, text: str | bytes) -> dict[str, Any]:
             f"{where} was written by a newer dynoscope (format {version}, known {VERSION}); update dynoscope"
         )
     return about
-
-
-def events(about: Mapping[str, Any]) -> tuple[Event, ...]:
-    """The events of a parsed text."""
-    return tuple(Event(**e) for e in about.get("events", ()))

@@ -17,7 +17,7 @@ from ingest.log import Log
 from ingest.maps import NameMap, apply_map, load_map
 from ingest.readers import FORMATS, Reader, Recording, Writer, reader
 
-WRITERS = {".parquet": "parquet", ".csv": "csv"}
+WRITERS = {".mcap": "mcap", ".parquet": "parquet", ".csv": "csv"}
 """Suffix -> format, for those formats that can be written."""
 
 

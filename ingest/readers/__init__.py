@@ -21,6 +21,7 @@ from ingest.log import Log
 from ingest.maps import NameMap
 
 FORMATS = {
+    "mcap": (".mcap",),
     "parquet": (".parquet",),
     "csv": (".csv", ".tsv"),
 }

@@ -14,11 +14,11 @@ from typing import Any
 
 import polars as pl
 
-from ingest.about import about_json, events, parse_about
+from ingest.about import about_json, parse_about
 from ingest.clock import with_time
 from ingest.dialect import Column, Dialect, sniff
 from ingest.errors import LogError
-from ingest.log import TIME, Group, Log, Signal
+from ingest.log import TIME, Event, Group, Log, Signal
 from ingest.maps import NameMap
 from ingest.readers import Recording
 
@@ -176,7 +176,8 @@ def _log(
             part = part.filter(pl.any_horizontal(pl.col(columns).is_not_null()))
         groups[name] = Group(name, part, {c: signals[c] for c in columns})
     facts = {**about.get("facts", {}), **({"head": list(dialect.above)} if any(dialect.above) else {})}
-    return Log(about.get("name", path.stem), groups, events(about), facts)
+    events = tuple(Event(**e) for e in about.get("events", ()))
+    return Log(about.get("name", path.stem), groups, events, facts)
 
 
 def _signal(column: Column, values: pl.Series, flags: dict[str, str], known: dict[str, str]) -> Signal:
@@ -199,7 +200,9 @@ def write(log: Log, path: Path) -> None:
     no row; numbers come back exactly, but as Float64.
     """
     with path.open("wb") as file:
-        file.write(_OWN + about_json(log).encode() + b"\n")
+        events = [e.to_json() for e in log.events]
+        signals = {n: s.to_metadata() for n, s in log.signals.items()}
+        file.write(_OWN + about_json(log, events=events, signals=signals).encode() + b"\n")
         _union([g.frame for g in log.groups.values()]).write_csv(file)
 
 

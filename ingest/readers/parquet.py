@@ -13,10 +13,10 @@ import polars as pl
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from ingest.about import about_json, events, parse_about
+from ingest.about import about_json, parse_about
 from ingest.clock import no_time, time_column, with_time
 from ingest.errors import LogError
-from ingest.log import TIME, Group, Log, Signal
+from ingest.log import TIME, Event, Group, Log, Signal
 from ingest.maps import NameMap
 from ingest.readers import Recording
 
@@ -69,7 +69,7 @@ def _ours(file: pq.ParquetFile, about: dict[str, Any], rows: bool) -> Log:
     facts = about["facts"]
     if not rows:
         facts = {**facts, "rows": {k: g["rows"] for k, g in about["groups"].items()}}
-    return Log(about["name"], groups, events(about), facts)
+    return Log(about["name"], groups, tuple(Event(**e) for e in about["events"]), facts)
 
 
 def _foreign(path: Path, names: NameMap, file: pq.ParquetFile, rows: bool) -> Log:
@@ -119,7 +119,7 @@ def write(log: Log, path: Path) -> None:
     signals = {TIME: Signal(name=TIME, unit="s"), **log.signals}
     schema = pa.schema(
         [fields[n].with_metadata(s.to_metadata()) for n, s in signals.items() if n in fields],
-        metadata={_KEY: about_json(log).encode()},
+        metadata={_KEY: about_json(log, events=[e.to_json() for e in log.events]).encode()},
     )
     with pq.ParquetWriter(path, schema, compression="zstd", write_page_checksum=True) as writer:
         for table in tables:

@@ -1,0 +1,145 @@
+"""Writes MCAP files chunk by chunk, from message bytes that were laid out as whole arrays.
+
+The library's own writer takes one message per call, which costs more than everything else together; its
+record classes are used for all that is written once per chunk or file. Format: https://mcap.dev/spec.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import IO
+
+import numpy as np
+import zstandard
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import (
+    Channel,
+    Chunk,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Header,
+    McapRecord,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+    SummaryOffset,
+)
+from mcap.writer import MCAP0_MAGIC
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Messages of one channel: their records end to end, and of each its log time in ns and its offset."""
+
+    channel_id: int
+    records: bytes
+    log_time: NDArray[np.uint64]
+    offset: NDArray[np.uint64]
+
+
+@dataclass
+class McapWriter:
+    """One file: ``add`` batches and metadata, then ``finish``.
+
+    Schemas and channels stand in the first chunk and again in the summary, as other writers do it.
+    """
+
+    stream: IO[bytes]
+    schemas: Sequence[Schema]
+    channels: Sequence[Channel]
+    chunks: list[ChunkIndex] = field(default_factory=list)
+    metadata: list[MetadataIndex] = field(default_factory=list)
+    counts: dict[int, int] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.stream.write(MCAP0_MAGIC)
+        self.stream.write(_bytes(Header(profile="", library="dynoscope")))
+        self._compress = zstandard.ZstdCompressor(level=3).compress
+
+    def add_metadata(self, name: str, pairs: Mapping[str, str]) -> None:
+        record = _bytes(Metadata(name=name, metadata=dict(pairs)))
+        self.metadata.append(MetadataIndex(offset=self.stream.tell(), length=len(record), name=name))
+        self.stream.write(record)
+
+    def add(self, batch: Batch) -> None:
+        """Writes a batch as one chunk with its message index."""
+        first = b"" if self.chunks else _bytes(*self.schemas, *self.channels)
+        records = first + batch.records
+        data = self._compress(records)
+        chunk = Chunk(
+            compression="zstd",
+            data=data,
+            message_start_time=int(batch.log_time.min()),
+            message_end_time=int(batch.log_time.max()),
+            uncompressed_crc=zlib.crc32(records),
+            uncompressed_size=len(records),
+        )
+        start = self.stream.tell()
+        self.stream.write(_bytes(chunk))
+        index_start = self.stream.tell()
+        entries = (
+            np.column_stack([batch.log_time, batch.offset + np.uint64(len(first))]).astype("<u8").tobytes()
+        )
+        head = struct.pack("<BQHI", Opcode.MESSAGE_INDEX, 6 + len(entries), batch.channel_id, len(entries))
+        self.stream.write(head + entries)
+        self.counts[batch.channel_id] = self.counts.get(batch.channel_id, 0) + len(batch.log_time)
+        self.chunks.append(
+            ChunkIndex(
+                chunk_length=index_start - start,
+                chunk_start_offset=start,
+                compression=chunk.compression,
+                compressed_size=len(data),
+                message_end_time=chunk.message_end_time,
+                message_index_length=len(head) + len(entries),
+                message_index_offsets={batch.channel_id: index_start},
+                message_start_time=chunk.message_start_time,
+                uncompressed_size=chunk.uncompressed_size,
+            )
+        )
+
+    def finish(self) -> None:
+        """Writes summary and footer; the stream stays open."""
+        self.stream.write(_bytes(DataEnd(data_section_crc=0)))
+        start = self.stream.tell()
+        groups: list[tuple[Opcode, Sequence[McapRecord]]] = [
+            (Opcode.SCHEMA, self.schemas),
+            (Opcode.CHANNEL, self.channels),
+            (Opcode.STATISTICS, [self._statistics()]),
+            (Opcode.CHUNK_INDEX, self.chunks),
+            (Opcode.METADATA_INDEX, self.metadata),
+        ]
+        summary, offsets = b"", b""
+        for opcode, records in groups:
+            part = _bytes(*records)
+            offsets += _bytes(SummaryOffset(opcode, start + len(summary), len(part))) if part else b""
+            summary += part
+        offset_start = start + len(summary)
+        crc = zlib.crc32(summary + offsets + struct.pack("<BQQQ", Opcode.FOOTER, 20, start, offset_start))
+        self.stream.write(summary + offsets + _bytes(Footer(start, offset_start, crc)) + MCAP0_MAGIC)
+
+    def _statistics(self) -> Statistics:
+        return Statistics(
+            attachment_count=0,
+            channel_count=len(self.channels),
+            channel_message_counts=self.counts,
+            chunk_count=len(self.chunks),
+            message_count=sum(self.counts.values()),
+            message_end_time=max((c.message_end_time for c in self.chunks), default=0),
+            message_start_time=min((c.message_start_time for c in self.chunks), default=0),
+            metadata_count=len(self.metadata),
+            schema_count=len(self.schemas),
+        )
+
+
+def _bytes(*records: McapRecord) -> bytes:
+    builder = RecordBuilder()
+    for record in records:
+        record.write(builder)
+    return bytes(builder.end())  # type: ignore[no-untyped-call]

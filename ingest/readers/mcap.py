@@ -1,0 +1,202 @@
+"""MCAP: one protobuf channel per raster, one message per row; events as JSON on ``/events``.
+
+Written by us, a file keeps a log exactly: what is known of the signals is in the metadata of the channels
+(:mod:`ingest.mcap_groups`); name, order of groups and facts are in the metadata record ``dynoscope``, with a
+checksum. Log times are ns on the log's own clock, shifted where that begins before 0; the exact time is the
+field ``time``.
+
+Files of others: each protobuf or JSON channel becomes a group, its nested fields joined by dots.
+"""
+
+from __future__ import annotations
+
+import heapq
+import json
+import zlib
+from collections import defaultdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mcap.opcode import Opcode
+from mcap.records import Channel, Schema
+from mcap.writer import MCAP0_MAGIC
+
+from ingest.about import about_json, parse_about
+from ingest.errors import LogError
+from ingest.log import Event, Group, Log
+from ingest.maps import NameMap
+from ingest.mcap_groups import OWN, Part, Row, channel_of, layout_of, own_group, their_groups
+from ingest.mcap_messages import decoder
+from ingest.mcap_reader import DAMAGE, McapFile, chunks, define, open_mcap, records
+from ingest.mcap_rows import Layout, field_names, join
+from ingest.mcap_writer import McapWriter
+from ingest.readers import Recording
+
+_ABOUT = "dynoscope"
+_LATEST = 1.8e10  # s; later ones do not fit into a log time
+_EPOCH = 10**17  # ns; log times beyond are dates
+_WORDS, _NUMBERS = ("kind", "channel", "source", "unit"), ("t_start", "t_end", "confidence", "magnitude")
+_EVENT_SCHEMA = json.dumps(
+    {
+        "type": "object",
+        "properties": {k: {"type": ["string", "null"]} for k in _WORDS}
+        | {k: {"type": ["number", "null"]} for k in _NUMBERS},
+    }
+).encode()
+
+
+def is_mine(path: Path, head: bytes) -> bool:
+    """Whether the file begins with MCAP's magic."""
+    return head.startswith(MCAP0_MAGIC)
+
+
+def header(path: Path, names: NameMap) -> Recording:
+    """Channels, from the summary and as many chunks as it takes to see a message of each."""
+    file = open_mcap(path)
+    log, ours = _log(path, file, _collect(file, until_all_seen=True), names)
+    groups = {k: Group(k, g.frame.clear(), g.signals) for k, g in log.groups.items()}
+    facts = dict(log.facts)
+    if file.statistics:
+        counts = file.statistics.channel_message_counts
+        facts["rows"] = {_name(c): counts.get(i, 0) for i, c in file.channels.items() if not _is_events(c)}
+    return Recording(Log(log.name, groups, log.events, facts), ours)
+
+
+def read(path: Path, names: NameMap) -> Recording:
+    """All rows. What was lost to damage is told in the fact ``salvaged``.
+
+    Raises:
+        LogError: nothing in the file can be read.
+    """
+    file = open_mcap(path)
+    parts = _collect(file)
+    counted = sum(part.rows for channel in parts.values() for part in channel)
+    if file.statistics and not file.problems and counted != file.statistics.message_count:
+        file.problems.append(f"{counted} of {file.statistics.message_count} messages were found")
+    if not parts and file.problems:
+        raise LogError(f"{path}: nothing can be read: {'; '.join(file.problems)}")
+    log, ours = _log(path, file, parts, names)
+    facts = {**log.facts, **({"salvaged": file.problems} if file.problems else {})}
+    return Recording(Log(log.name, log.groups, log.events, facts), ours)
+
+
+def _collect(file: McapFile, *, until_all_seen: bool = False) -> dict[int, list[Part]]:
+    """The rows of each channel in order of the file."""
+    counts = file.statistics.channel_message_counts if file.statistics else {}
+    wanted = {number for number, count in counts.items() if count}
+    parts: dict[int, list[Part]] = defaultdict(list)
+    layouts: dict[int, Layout | None] = {}
+    for content in chunks(file):
+        try:
+            _split(file, content, layouts, parts)
+        except DAMAGE as error:
+            file.problems.append(f"the records of a chunk are damaged ({error}); rows are lost")
+        if until_all_seen and wanted <= set(parts):
+            break
+    return parts
+
+
+def _split(
+    file: McapFile, content: memoryview, layouts: dict[int, Layout | None], parts: dict[int, list[Part]]
+) -> None:
+    """Adds a chunk's rows to ``parts``: all at once if they are of one channel and layout of ours."""
+    fresh: dict[int, Part] = {}
+    for opcode, first, end in records(content, 0, len(content)):
+        if opcode != Opcode.MESSAGE:
+            define(file, opcode, content[first:end])
+            continue
+        number = int.from_bytes(content[first : first + 2], "little")
+        if number not in layouts and number in file.channels:
+            layouts[number] = layout_of(file.channels[number], file.schemas)
+        layout = layouts.get(number)
+        columns = layout.decode(content[first - 9 :]) if layout and not fresh else None
+        if columns is not None:
+            parts[number].append(Part(columns=columns))
+            return
+        log_time = int.from_bytes(content[first + 6 : first + 14], "little")
+        fresh.setdefault(number, Part()).messages.append((log_time, bytes(content[first + 22 : end])))
+    for number, part in fresh.items():
+        parts[number].append(part)
+
+
+def _is_events(channel: Channel) -> bool:
+    return channel.metadata.get(OWN) == "events"
+
+
+def _name(channel: Channel) -> str:
+    return channel.metadata.get("group") or channel.topic.strip("/") or f"channel_{channel.id}"
+
+
+def _log(path: Path, file: McapFile, parts: dict[int, list[Part]], names: NameMap) -> Recording:
+    about = _about(path, file)
+    groups: dict[str, Group] = {}
+    events: list[Event] = []
+    theirs: dict[str, list[Row]] = {}
+    notes = []
+    for number, channel in file.channels.items():
+        mine = parts.get(number, [])
+        try:
+            decode = decoder(channel, file.schemas.get(channel.schema_id))
+            if layout := layout_of(channel, file.schemas):
+                groups[_name(channel)] = own_group(channel, layout, mine, decode)
+                continue
+            rows = [(t, decode(data)) for part in mine for t, data in part.messages]
+        except LogError as error:
+            notes.append(str(error))
+            continue
+        if _is_events(channel):
+            events += [Event(**row) for _, row in rows]
+        else:
+            theirs.setdefault(_name(channel), []).extend(rows)
+    foreign, start = their_groups(str(path), theirs, names.time)
+    groups |= foreign
+    if not groups and not about:
+        raise LogError(f"{path}: no channel can be read: {'; '.join(notes) or 'there are none'}")
+    facts = dict(about.get("facts", {}))
+    facts |= {"start_time": str(np.datetime64(start, "ns"))} if start > _EPOCH else {}
+    facts |= {"notes": notes} if notes else {}
+    order = [g for g in about.get("groups", ()) if g in groups]
+    groups = {k: groups[k] for k in dict.fromkeys([*order, *groups])}
+    return Recording(Log(about.get("name", path.stem), groups, tuple(events), facts), ours=bool(about))
+
+
+def _about(path: Path, file: McapFile) -> dict[str, Any]:
+    """What :func:`write` noted; empty if the file is not ours or the note is damaged."""
+    for record in file.metadata:
+        if record.name == _ABOUT:
+            text = record.metadata.get("log", "")
+            if record.metadata.get("crc32") == str(zlib.crc32(text.encode())):
+                return parse_about(str(path), text)
+            file.problems.append("name and facts of the log are damaged")
+    return {}
+
+
+def write(log: Log, path: Path) -> None:
+    """One channel per group and one for the events; zstd chunks of about 1 MiB in order of their time.
+
+    Raises:
+        LogError: a time stamp is beyond what a log time holds.
+    """
+    groups = log.groups.values()
+    messages = field_names(log.groups)
+    made = [channel_of(g, i, m) for i, (g, m) in enumerate(zip(groups, messages, strict=True), 1)]
+    times = [*(g.time for g in groups), np.array([e.t_start for e in log.events])]
+    shift = -min(0.0, *(float(t.min()) for t in times if len(t)), 0.0)
+    latest = max((float(np.abs(t).max()) for t in times if len(t)), default=0.0)
+    if not latest + shift < _LATEST:
+        raise LogError(f"log {log.name!r}: time stamps reach {latest:g} s; are they in s?")
+    stamps = [np.rint((t + shift) * 1e9).astype(np.uint64) for t in times]
+    number = len(made) + 1
+    batches = [join(number, (json.dumps(e.to_json()).encode() for e in log.events), stamps[-1])]
+    for (_, _, layout), group, stamp in zip(made, groups, stamps[:-1], strict=True):
+        batches.append(layout.encode(group.frame.get_columns(), stamp))
+    schemas = [*(s for s, _, _ in made), Schema(number, _EVENT_SCHEMA, "jsonschema", "dynoscope.Event")]
+    channels = [*(c for _, c, _ in made), Channel(number, "/events", "json", {OWN: "events"}, number)]
+    text = about_json(log)
+    with path.open("wb") as stream:
+        writer = McapWriter(stream, schemas, channels)
+        writer.add_metadata(_ABOUT, {"log": text, "crc32": str(zlib.crc32(text.encode()))})
+        for batch in heapq.merge(*batches, key=lambda b: int(b.log_time[0])):
+            writer.add(batch)
+        writer.finish()
