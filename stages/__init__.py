@@ -1,1 +1,16 @@
 """The mathematics, one algorithm a file: frozen settings, explicit state, no files, no clock."""
+
+from __future__ import annotations
+
+# The stages that a recipe can name with `use`; a user's own is "module:Class".
+STAGES = {
+    "align": "stages.align:Align",
+    "smooth": "stages.smooth:Smooth",
+    "regressors": "stages.regressors:Regressors",
+    "gate": "stages.gate:Gate",
+    "normalise": "stages.normalise:Normalise",
+    "relations": "stages.relations:Relations",
+    "residuals": "stages.residuals:Residuals",
+    "detect": "stages.detect:Detect",
+    "isolate": "stages.isolate:Isolate",
+}

@@ -1,0 +1,65 @@
+"""``dynoscope fit``: fit a detector on fault-free logs and keep it in a store."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from ingest.log import Log
+
+HELP = "fit a recipe's detectors on fault-free logs; prints the detector's key"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "logs", nargs="+", metavar="LOG", help="fault-free logs: files, folders, globs, @list.txt"
+    )
+    parser.add_argument("--recipe", required=True, help="a built-in recipe or a path")
+    parser.add_argument("--store", required=True, type=Path, metavar="DIR", help="where detectors are kept")
+    parser.add_argument(
+        "--calibrate", nargs="+", action="extend", default=[], metavar="LOG",
+        help="further fault-free logs that set spreads and thresholds",
+    )  # fmt: skip
+    parser.add_argument("--map", type=Path, help="TOML file that names and converts the logs' channels")
+    parser.add_argument("--json", action="store_true", help="print the detector's record")
+
+
+def run(args: argparse.Namespace) -> int:
+    from ingest import read_log
+    from ingest.files import find_logs
+    from ingest.maps import load_map
+    from pipeline.console import Problems, print_json, talk
+    from pipeline.fitting import fit
+    from pipeline.recipe import load_recipe
+    from pipeline.store import Store
+
+    problems = Problems()
+    with problems:
+        recipe = load_recipe(args.recipe)
+    with problems:
+        store = Store(args.store)
+    with problems:
+        names = load_map(args.map) if args.map else None
+    problems.raise_any()
+    paths: dict[str, list[Path]] = {}
+    for role, patterns in (("training", args.logs), ("calibration", args.calibrate)):
+        with problems:
+            paths[role] = find_logs(patterns)
+    logs: dict[str, list[Log]] = {role: [] for role in paths}
+    for role, files in paths.items():
+        for path in files:
+            with problems:
+                logs[role].append(read_log(path, names))
+    problems.raise_any()
+    detector = fit(logs["training"], recipe, logs["calibration"], progress=talk)
+    champion = store.add(detector)
+    for note in detector.record["notes"]:
+        talk(f"note: {note}")
+    talk(f"kept in {store.folder}" + (f" as champion of {recipe.name}" if champion else ""))
+    if args.json:
+        print_json({**detector.record, "champion": champion})
+    else:
+        print(detector.key)
+    return 0

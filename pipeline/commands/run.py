@@ -1,0 +1,70 @@
+"""``dynoscope run``: diagnose logs."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+HELP = "diagnose logs: samples, verdict, annotated log and timeline for each, and a summary"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("logs", nargs="+", metavar="LOG", help="files, folders, globs, @list.txt")
+    parser.add_argument("--recipe", required=True, help="a built-in recipe or a path")
+    parser.add_argument("--store", required=True, type=Path, metavar="DIR", help="where detectors are kept")
+    parser.add_argument("--out", required=True, type=Path, metavar="DIR", help="where the results go")
+    parser.add_argument("--detector", default="champion", metavar="KEY", help="default: the champion")
+    parser.add_argument("--map", type=Path, help="TOML file that names and converts the logs' channels")
+    parser.add_argument("--no-timeline", action="store_true", help="write no Rerun recordings")
+    parser.add_argument("--force", action="store_true", help="diagnose again what is done")
+    parser.add_argument("--json", action="store_true", help="print the summary as JSON")
+
+
+def run(args: argparse.Namespace) -> int:
+    from ingest.files import find_logs
+    from ingest.maps import load_map
+    from pipeline import batch
+    from pipeline.console import Problems, print_json, progress, talk
+    from pipeline.recipe import load_recipe
+    from pipeline.store import Store
+
+    problems = Problems()
+    with problems:
+        recipe = load_recipe(args.recipe)
+    with problems:
+        store = Store(args.store)
+    if not problems.errors:
+        with problems:
+            detector = store.get(recipe.name, args.detector)
+    with problems:
+        if args.map:
+            load_map(args.map)
+    problems.raise_any()
+    paths = find_logs(args.logs)
+    options = batch.Options(timeline=not args.no_timeline, force=args.force, name_map=args.map)
+    with progress("diagnosing", len(paths)) as step:
+        summary = batch.run(paths, detector, args.out, options, lambda log, row: step(describe(log, row)))
+    talk(f"results in {args.out}")
+    rows = summary.to_dicts()
+    if args.json:
+        print_json(rows)
+    else:
+        print_summary(rows)
+    return 1 if any(row["status"] == "failed" for row in rows) else 0
+
+
+def describe(log: str, row: dict[str, object]) -> str:
+    """One line on one log's row of the summary."""
+    return f"{log}: {row['reason']}" if row["status"] == "failed" else f"{log}: {row['fault']}"
+
+
+def print_summary(rows: list[dict[str, object]]) -> None:
+    """The verdict table, with the columns that say anything."""
+    from pipeline.console import print_table
+
+    columns = {
+        "log": "log", "status": "status", "fault": "fault", "signal": "signal", "p": "p",
+        "onset_s": "onset s", "detected_s": "detected s", "magnitude": "magnitude", "unit": "unit",
+        "truth": "truth", "reason": "reason",
+    }  # fmt: skip
+    print_table(rows, {k: v for k, v in columns.items() if any(row[k] is not None for row in rows)})

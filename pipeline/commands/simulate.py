@@ -1,0 +1,115 @@
+"""``dynoscope simulate``: a log with ground truth."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ingest.errors import DynoscopeError
+
+if TYPE_CHECKING:
+    from ingest.simulators.faults import Fault
+
+HELP = "simulate a log with ground truth; the suffix (.mcap .parquet .csv) picks the format"
+SYSTEMS = ("airpath",)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("system", choices=SYSTEMS, help="what to simulate")
+    parser.add_argument("--out", required=True, type=Path, metavar="FILE", help="the log to write")
+    parser.add_argument(
+        "--cycle", default="wltc_3b", help="wltc_3b udds us06 hwfet ftp75 nedc, or a CSV of time and speed"
+    )
+    for name, kind, text in (
+        ("fault", str, "the i-th --fault, --magnitude, --onset ... belong together"),
+        ("magnitude", float, "size of the fault: relative, mm or %%"),
+        ("onset", float, "s; default: a third of the log"),
+        ("ramp", float, "s over which the fault grows; default 0"),
+        ("end", float, "s at which the fault ends; default: never"),
+        ("signal", str, "which signal, for the faults sensor_*"),
+    ):
+        parser.add_argument(f"--{name}", action="append", default=[], type=kind, help=text)
+    parser.add_argument("--tolerance", type=int, choices=(0, 1, 2), default=0, help="spread between vehicles")
+    parser.add_argument("--egr", action="store_true", help="with exhaust gas recirculation")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--duration", type=float, metavar="S", help="s; default: the cycle's own")
+    parser.add_argument(
+        "--noise", type=float, default=1.0, metavar="X", help="factor on all measurement noise"
+    )
+    parser.add_argument(
+        "--set", nargs="+", action="extend", default=[], metavar="NAME=VALUE", help="parameters"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    from ingest import write_log
+    from ingest.simulators.airpath import simulate_airpath
+    from pipeline.console import talk
+
+    log = simulate_airpath(
+        cycle=args.cycle, faults=faults(args), tolerance=args.tolerance, egr=args.egr, seed=args.seed,
+        duration_s=args.duration, noise=args.noise, overrides=overrides(args.set), name=args.out.stem,
+    )  # fmt: skip
+    write_log(log, args.out)
+    start, end = log.span
+    talk(f"wrote {args.out}: {end - start:.0f} s, {len(log.signals)} signals")
+    return 0
+
+
+def faults(args: argparse.Namespace) -> list[Fault]:
+    """The faults of the command line, matched by their order.
+
+    Raises:
+        DynoscopeError: an option without its fault, or a fault without a magnitude.
+    """
+    from ingest.simulators.faults import Fault
+
+    count = len(args.fault)
+    fields = {
+        "magnitude": args.magnitude,
+        "onset": args.onset,
+        "ramp": args.ramp,
+        "end": args.end,
+        "signal": args.signal,
+    }
+    if extra := [f"--{name}" for name, values in fields.items() if len(values) > count]:
+        raise DynoscopeError(f"more {', '.join(extra)} than --fault; the i-th of each belong together")
+    if len(args.magnitude) < count:
+        raise DynoscopeError(
+            f"{count} --fault but {len(args.magnitude)} --magnitude; give one each, in order"
+        )
+
+    def at(name: str, i: int, default: Any) -> Any:
+        return fields[name][i] if i < len(fields[name]) else default
+
+    return [
+        Fault(
+            name=name,
+            magnitude=args.magnitude[i],
+            onset_s=at("onset", i, None),
+            ramp_s=at("ramp", i, 0.0),
+            end_s=at("end", i, None),
+            signal=at("signal", i, None),
+        )
+        for i, name in enumerate(args.fault)
+    ]
+
+
+def overrides(pairs: list[str]) -> dict[str, float]:
+    """``name=value`` pairs.
+
+    >>> overrides(["CdA=0.9"])
+    {'CdA': 0.9}
+
+    Raises:
+        DynoscopeError: a pair that is none.
+    """
+    out = {}
+    for pair in pairs:
+        name, _, value = pair.partition("=")
+        try:
+            out[name] = float(value)
+        except ValueError:
+            raise DynoscopeError(f"--set {pair!r}: expected name=value with a number") from None
+    return out

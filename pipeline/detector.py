@@ -1,0 +1,150 @@
+"""Detectors: a recipe with all it has learned, as arrays (``.npz``) and a plain record (``.json``)."""
+
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ingest.errors import RecipeError, StoreError
+from ingest.log import Log
+from pipeline.digest import arrays_sha256, digest
+from pipeline.files import write_aside
+from pipeline.recipe import Recipe, build_recipe
+from stages.stage import Learner, Stage
+
+FORMAT = 1
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Detector:
+    """A fitted recipe: ``stages`` hold what they learned, ``record`` says from what.
+
+    The key depends on the recipe, the versions of its stages, the logs it learned from and what was learned.
+    """
+
+    recipe: Recipe
+    stages: tuple[Stage, ...]
+    record: Mapping[str, Any]
+
+    @property
+    def key(self) -> str:
+        return str(self.record["key"])
+
+    @property
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Everything learned, named ``<place>.<stage>/<array>``."""
+        return {
+            f"{i}.{use}/{name}": array
+            for i, (use, stage) in enumerate(zip(self.recipe.uses, self.stages, strict=True))
+            if isinstance(stage, Learner)
+            for name, array in stage.learned.items()
+        }
+
+
+def new_detector(
+    recipe: Recipe,
+    stages: Sequence[Stage],
+    training: Sequence[Log],
+    calibration: Sequence[Log],
+    notes: Sequence[str],
+) -> Detector:
+    """A detector from fitted stages, with its record and key."""
+    draft = Detector(recipe=recipe, stages=tuple(stages), record={})
+    content: dict[str, Any] = {
+        "format": FORMAT,
+        "recipe": recipe.name,
+        "definition": recipe.to_json(),
+        "versions": recipe.versions(),
+        "training": [_source(log) for log in training],
+        "calibration": [_source(log) for log in calibration],
+        "arrays_sha256": arrays_sha256(draft.arrays),
+    }
+    created = datetime.now(UTC).isoformat(timespec="seconds")
+    return replace(
+        draft, record={"key": digest(content), **content, "notes": list(notes), "created": created}
+    )
+
+
+def save_detector(detector: Detector, folder: Path) -> None:
+    """Write ``<key>.npz`` and ``<key>.json``; the record comes last, so a detector is whole once it is
+    seen."""
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, allow_pickle=False, **detector.arrays)
+    write_aside(folder / f"{detector.key}.npz", buffer.getvalue())
+    write_aside(folder / f"{detector.key}.json", (json.dumps(detector.record, indent=1) + "\n").encode())
+
+
+def load_record(path: Path) -> dict[str, Any]:
+    """A detector's record, checked against its key.
+
+    Raises:
+        StoreError: it cannot be read, is of another format, or was changed.
+    """
+    try:
+        record = json.loads(path.read_text(encoding="utf-8"))
+        content = {k: v for k, v in record.items() if k not in ("key", "notes", "created")}
+        intact = record["key"] == digest(content) == path.stem
+    except (OSError, ValueError, TypeError, KeyError) as error:
+        raise StoreError(f"detector record {path} cannot be read: {error}; fit the detector again") from None
+    if record.get("format") != FORMAT:
+        raise StoreError(
+            f"detector {path.stem} has format {record.get('format')!r}, this version reads {FORMAT}; "
+            "fit the detector again"
+        )
+    if not intact:
+        raise StoreError(f"detector record {path} was changed after it was written; fit the detector again")
+    return dict(record)
+
+
+def load_detector(folder: Path, key: str) -> Detector:
+    """The detector ``key`` of a store's folder, every part checked.
+
+    Raises:
+        StoreError: a file is missing, damaged or changed, or a stage has another version now.
+    """
+    record = load_record(folder / f"{key}.json")
+    path = folder / f"{key}.npz"
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise StoreError(f"detector arrays {path} cannot be read: {error}; fit the detector again") from None
+    if arrays_sha256(arrays) != record["arrays_sha256"]:
+        raise StoreError(f"detector arrays {path} are not those of its record; fit the detector again")
+    try:
+        recipe = build_recipe(record["recipe"], record["definition"])
+    except RecipeError as error:
+        raise StoreError(
+            f"detector {key} was fitted with a recipe this version does not take:\n{error}"
+        ) from None
+    if (now := recipe.versions()) != record["versions"]:
+        changed = sorted(k for k in now if now[k] != record["versions"].get(k))
+        raise StoreError(
+            f"detector {key} was fitted with another version of {', '.join(changed)}; fit it again"
+        )
+    stages = tuple(
+        replace(stage, learned=learned)  # type: ignore[type-var]
+        if (learned := _learned(arrays, f"{i}.{use}/")) or isinstance(stage, Learner)
+        else stage
+        for i, (use, stage) in enumerate(zip(recipe.uses, recipe.stages, strict=True))
+    )
+    return Detector(recipe=recipe, stages=stages, record=record)
+
+
+def _learned(arrays: Mapping[str, NDArray[Any]], prefix: str) -> dict[str, NDArray[Any]]:
+    return {k.removeprefix(prefix): v for k, v in arrays.items() if k.startswith(prefix)}
+
+
+def _source(log: Log) -> dict[str, Any]:
+    start, end = log.span
+    known = {k: log.facts[k] for k in ("file", "sha256") if k in log.facts}
+    return {"log": log.name, **known, "start_s": start, "end_s": end}

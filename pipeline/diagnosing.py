@@ -1,0 +1,75 @@
+"""Diagnosing one log: through the stages of a detector, to samples and a verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from ingest.log import TIME, Log
+from pipeline.detector import Detector
+from stages.detect import DETECTION
+from stages.gate import GATE
+from stages.isolate import EVIDENCE, PROBABILITY
+from stages.relations import IN_DOMAIN, REGIME, Relations
+from stages.residuals import MODEL_SD, RESIDUAL, SIGMA, Z
+from stages.results import Diagnosis, OperatingMap
+from stages.stage import ANALYSIS, transform
+from stages.verdict import Judge
+
+KINDS = (RESIDUAL, SIGMA, Z, MODEL_SD, EVIDENCE, PROBABILITY)
+
+
+def diagnose(
+    log: Log, detector: Detector, *, quality: Mapping[str, Any] | None = None, block_s: float | None = None
+) -> Diagnosis:
+    """What ``detector`` says about ``log``; ``block_s`` bounds memory and changes nothing else.
+
+    Raises:
+        LogError: the log lacks a signal that the recipe needs.
+    """
+    block = transform(detector.stages, log, block_s)
+    frame = block.groups[ANALYSIS].frame
+    samples = samples_table(frame)
+    recipe = detector.recipe
+    judge = Judge(min_evidence_s=recipe.min_evidence_s, channels=recipe.channels)
+    verdict = judge.verdict(log, samples, recipe=recipe.name, detector=detector.key, quality=quality or {})
+    units = {
+        n.removeprefix(RESIDUAL): s.unit or ""
+        for n, s in block.groups[ANALYSIS].signals.items()
+        if n.startswith(RESIDUAL)
+    }
+    return Diagnosis(
+        log=log, samples=samples, verdict=verdict, units=units, operating_map=_operating_map(detector, block)
+    )
+
+
+def samples_table(frame: pl.DataFrame) -> pl.DataFrame:
+    """The columns of ``samples.parquet``, from all that the stages left behind."""
+    head = [c for c in (REGIME, IN_DOMAIN, GATE, DETECTION) if c in frame.columns]
+    kinds = [c for kind in KINDS for c in frame.columns if c.startswith(kind)]
+    return frame.select(TIME, *head, *kinds)
+
+
+def _label(block: Log, name: str) -> str:
+    unit = block.signals[name].unit
+    return f"{name} [{unit}]" if unit else name
+
+
+def _operating_map(detector: Detector, block: Log) -> OperatingMap | None:
+    relations = next((s for s in detector.stages if isinstance(s, Relations)), None)
+    if relations is None:
+        return None
+    x, y = relations.map
+    learned, frame = relations.learned, block.groups[ANALYSIS].frame
+
+    def values(column: str) -> Any:
+        return frame[column].cast(pl.Float64).fill_null(np.nan).to_numpy()
+
+    return OperatingMap(
+        x_label=_label(block, x), y_label=_label(block, y), x=values(x), y=values(y),
+        nodes=learned["map/nodes"], edges=relations.models[relations.regime].partition.edges,
+        visits=learned["map/visits"], spread=learned["map/spread"],
+    )  # fmt: skip

@@ -1,0 +1,104 @@
+"""Fitting: what a recipe's stages learn from fault-free logs, in order.
+
+Models learn from the training logs. Spreads and thresholds learn from calibration logs that the models have
+not seen; where there are none, each quarter of the training logs is predicted by models fitted on the other
+three, which says how well the models interpolate, but nothing about other drives, days or vehicles.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from ingest.errors import LogError
+from ingest.log import Log
+from pipeline.detector import Detector, new_detector
+from pipeline.recipe import Recipe
+from stages.relations import IN_DOMAIN, REGIME
+from stages.stage import ANALYSIS, Learner, Stage, add_columns, concat, transform
+
+FOLDS = 4
+Progress = Callable[[str], None]
+
+
+def fit(
+    logs: Sequence[Log], recipe: Recipe, calibrate: Sequence[Log] = (), progress: Progress = lambda _: None
+) -> Detector:
+    """A detector of ``recipe`` from fault-free ``logs``.
+
+    Raises:
+        LogError: a log lacks a signal, or there is too little usable data; the message says which.
+        RecipeError: the recipe and the logs do not fit.
+    """
+    if not logs:
+        raise LogError("no logs to fit on; give at least one fault-free log")
+    prepare, models, decide = _sections(recipe.stages)
+    progress(f"preparing {len(logs) + len(calibrate)} log(s): {', '.join(recipe.uses[: len(prepare)])}")
+    training = [transform(prepare, log) for log in logs]
+    progress(f"fitting on {sum(b.groups[ANALYSIS].frame.height for b in training)} samples")
+    fitted = _learn(models, training)
+    notes = []
+    if calibrate:
+        held_out = [transform([*prepare, *fitted], log) for log in calibrate]
+    else:
+        notes.append(
+            "no calibration logs: thresholds and spreads come from held-out quarters of the training logs "
+            "and know nothing of other drives, days and vehicles; give more fault-free logs with --calibrate"
+        )
+        progress("holding out quarters of the training logs")
+        held_out = _hold_out(models, fitted, training)
+    progress(
+        f"setting spreads and thresholds on {sum(b.groups[ANALYSIS].frame.height for b in held_out)} samples"
+    )
+    stages = [*prepare, *fitted, *_learn(decide, held_out)]
+    return new_detector(recipe, stages, logs, calibrate, notes)
+
+
+def _sections(stages: Sequence[Stage]) -> tuple[Sequence[Stage], Sequence[Stage], Sequence[Stage]]:
+    """What comes before the first learner, the models, and all from the first stage that needs
+    calibration."""
+    learns = [stage.learns_from if isinstance(stage, Learner) else None for stage in stages]
+    decide = next((i for i, source in enumerate(learns) if source == "calibration"), len(stages))
+    prepare = next((i for i, source in enumerate(learns) if source), decide)
+    return stages[:prepare], stages[prepare:decide], stages[decide:]
+
+
+def _learn(stages: Sequence[Stage], blocks: Sequence[Log]) -> list[Stage]:
+    """The stages fitted one after the other, each on what the ones before it make of ``blocks``."""
+    fitted: list[Stage] = []
+    for stage in stages:
+        if isinstance(stage, Learner):
+            stage = stage.fit(blocks)
+        blocks = [transform([stage], b) for b in blocks]
+        fitted.append(stage)
+    return fitted
+
+
+def _hold_out(models: Sequence[Stage], fitted: Sequence[Stage], blocks: Sequence[Log]) -> list[Log]:
+    """Each log as predicted by models that have not seen the quarter in question."""
+    quarters = [_parts(b) for b in blocks]
+    predicted: list[list[Log]] = [[] for _ in blocks]
+    for fold in range(FOLDS):
+        seen = [q for parts in quarters for i, q in enumerate(parts) if i != fold]
+        fold_models = _learn(models, seen)
+        for i, parts in enumerate(quarters):
+            predicted[i].append(transform(fold_models, parts[fold]))
+    out = []
+    for block, parts in zip(blocks, predicted, strict=True):
+        whole, frame = concat(parts), transform(fitted, block).groups[ANALYSIS].frame
+        # each fold has a map of its own; a regime is a node of the final one
+        final = {c: frame[c].to_numpy() for c in (REGIME, IN_DOMAIN) if c in frame.columns}
+        out.append(add_columns(whole, final))
+    return out
+
+
+def _parts(block: Log) -> list[Log]:
+    frame = block.groups[ANALYSIS].frame
+    edges = np.linspace(0, frame.height, FOLDS + 1).astype(int)
+    return [
+        replace(block, groups={ANALYSIS: replace(block.groups[ANALYSIS], frame=frame.slice(a, b - a))})
+        for a, b in pairwise(edges)
+    ]

@@ -1,0 +1,182 @@
+"""Align: bring the signals of a log onto one raster, without inventing a sample.
+
+The only place that resamples. With ``raster_s = 0`` the rows are the time stamps of the first signal's own
+group, regular or not; else they are the multiples of ``raster_s``. The value of a signal at row ``t`` is
+
+1. with its own group's stamps: the sample itself;
+2. going down (two samples or more in ``(t - raster_s, t]``): their mean, or the last one of a state;
+3. else: linear interpolation between the neighbours, or the last sample of a state or counter.
+
+It is missing outside the group's span and where the neighbours (or the last sample of a state) lie more than
+``max_gap_s`` apart: nothing is extrapolated. A row without any value is left out, so gaps stay gaps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import ClassVar, Literal
+
+import numpy as np
+import polars as pl
+from numpy.typing import NDArray
+
+from ingest.errors import LogError, RecipeError
+from ingest.log import TIME, Group, Log, Signal
+from stages.stage import ANALYSIS
+
+Duplicates = Literal["last", "first", "mean"]
+
+
+@dataclass(frozen=True)
+class AlignState:
+    """Rows of each group still needed, and the time of the last row that came out."""
+
+    kept: Mapping[str, pl.DataFrame] = field(default_factory=dict)
+    done: float = -np.inf
+
+
+@dataclass(frozen=True, kw_only=True)
+class Align:
+    """Settings: ``signals`` (all must be in the log) and ``optional`` ones, ``raster_s``, ``max_gap_s``, and
+    which of several samples with one time stamp counts.
+
+    Raises:
+        RecipeError: no signals, or a negative raster or gap.
+        LogError: a signal is not in the log, or is not numeric.
+    """
+
+    version: ClassVar[str] = "1"
+    signals: tuple[str, ...]
+    optional: tuple[str, ...] = ()
+    raster_s: float = 0.0
+    max_gap_s: float = 2.0
+    duplicates: Duplicates = "last"
+
+    def __post_init__(self) -> None:
+        if not self.signals:
+            raise RecipeError("align: `signals` is empty; name at least one signal")
+        if self.raster_s < 0 or self.max_gap_s <= 0:
+            raise RecipeError(
+                f"align: raster_s = {self.raster_s} and max_gap_s = {self.max_gap_s} must be positive "
+                "(raster_s = 0: the first signal's own time stamps)"
+            )
+
+    @property
+    def needs(self) -> set[str]:
+        return set(self.signals)
+
+    @property
+    def adds(self) -> set[str]:
+        return {*self.signals, *self.optional}
+
+    def start(self) -> AlignState:
+        return AlignState()
+
+    def step(self, state: AlignState, block: Log, /) -> tuple[AlignState, Log]:
+        wanted = self._wanted(block)
+        kept = {name: self._append(state.kept.get(name), block.groups[name], s) for name, s in wanted.items()}
+        rows, ready = self._rows(kept, block, state.done)
+        series = {
+            name: self._resample(kept[g], rows, block.groups[g].signals[name], g == self._lead(block))
+            for g, names in wanted.items()
+            for name in names
+        }
+        names = [n for n in (*self.signals, *self.optional) if n in series]
+        frame = pl.DataFrame(
+            {TIME: rows, **{n: series[n] for n in names}}, schema_overrides={TIME: pl.Float64}
+        )
+        frame = frame.with_columns(pl.col(names).fill_nan(None)).filter(
+            pl.any_horizontal(pl.col(names).is_not_null())
+        )
+        signals = {n: block.signals[n] for n in names}
+        state = AlignState({g: self._trim(f, ready) for g, f in kept.items()}, ready)
+        return state, replace(block, groups={ANALYSIS: Group(ANALYSIS, frame, signals)})
+
+    def _lead(self, block: Log) -> str:
+        return block.group_of(self.signals[0]).name if self.raster_s == 0 else ""
+
+    def _wanted(self, block: Log) -> dict[str, list[str]]:
+        """Signals to bring, by group."""
+        wanted: dict[str, list[str]] = {}
+        present = block.signals
+        for name in (*self.signals, *(n for n in self.optional if n in present)):
+            group = block.group_of(name)
+            if not (group.frame.schema[name].is_numeric() or group.frame.schema[name] == pl.Boolean):
+                raise LogError(
+                    f"log {block.name!r}: signal {name!r} holds {group.frame.schema[name]}, not numbers; "
+                    "map another channel to it"
+                )
+            wanted.setdefault(group.name, []).append(name)
+        return wanted
+
+    def _append(self, kept: pl.DataFrame | None, group: Group, names: list[str]) -> pl.DataFrame:
+        """Buffered and new rows, sorted, one per time stamp."""
+        new = group.frame.select(TIME, pl.col(names).cast(pl.Float64)).sort(TIME, maintain_order=True)
+        if new.height and new[TIME].is_duplicated().any():
+            one = {"last": pl.col(names).last(), "first": pl.col(names).first(), "mean": pl.col(names).mean()}
+            new = new.group_by(TIME, maintain_order=True).agg(one[self.duplicates])
+        return new if kept is None else pl.concat([kept, new])
+
+    def _rows(
+        self, kept: Mapping[str, pl.DataFrame], block: Log, done: float
+    ) -> tuple[NDArray[np.float64], float]:
+        """Row times that can be computed now, and the last time that is settled.
+
+        A row is ready when every signal has a sample at or after it, or has been silent for ``max_gap_s``.
+        """
+        lead = self._lead(block)
+        times = [f[TIME] for f in kept.values() if f.height]
+        if not times:
+            return np.empty(0), done
+        now = float(max(t[-1] for t in times))
+        ended = not any(g.frame.height for g in block.groups.values())
+        known = [_last_known(f, f.columns[:1] if g == lead else f.columns[1:]) for g, f in kept.items()]
+        ready = now if ended else min(max(t, now - self.max_gap_s) for t in known)
+        if self.raster_s == 0:
+            stamps = kept[lead][TIME].to_numpy()
+            return stamps[(stamps > done) & (stamps <= ready)], max(ready, done)
+        first = float(min(t[0] for t in times))
+        lowest = np.ceil(first / self.raster_s - 1e-9) if done == -np.inf else round(done / self.raster_s) + 1
+        highest = np.floor(ready / self.raster_s + 1e-9)
+        rows = self.raster_s * np.arange(lowest, highest + 1)
+        return rows, (float(rows[-1]) if rows.size else done)
+
+    def _resample(
+        self, frame: pl.DataFrame, rows: NDArray[np.float64], signal: Signal, own: bool
+    ) -> NDArray[np.float64]:
+        known = frame.select(TIME, signal.name).drop_nulls()
+        t, x = known[TIME].to_numpy(), known[signal.name].to_numpy()
+        hold = signal.resample == "hold" or signal.kind != "continuous"
+        if not t.size or not rows.size:
+            return np.full(rows.size, np.nan)
+        upto = np.searchsorted(t, rows + 1e-9, side="right")  # samples at or before each row
+        before, after = np.maximum(upto - 1, 0), np.minimum(upto, t.size - 1)
+        exact = (upto > 0) & (np.abs(t[before] - rows) <= 1e-9)
+        value = np.where(exact, x[before], np.nan)
+        if own or signal.resample == "none":
+            return value
+        if hold:
+            return np.where((upto > 0) & (rows - t[before] <= self.max_gap_s), x[before], np.nan)
+        width = t[after] - t[before]
+        inside = ~exact & (upto > 0) & (upto < t.size) & (width <= self.max_gap_s)
+        share = np.where(inside, (rows - t[before]) / np.where(width > 0, width, 1.0), 0.0)
+        value = np.where(inside, x[before] + share * (x[after] - x[before]), value)
+        if self.raster_s > 0:
+            start = np.searchsorted(t, rows - self.raster_s + 1e-9, side="right")
+            several = np.flatnonzero(upto - start >= 2)
+            pairs = np.column_stack([start[several], upto[several]]).ravel()
+            total = np.add.reduceat(np.append(x, 0.0), pairs)[::2] if pairs.size else np.empty(0)
+            value[several] = total / (upto - start)[several]
+        return value
+
+    def _trim(self, frame: pl.DataFrame, done: float) -> pl.DataFrame:
+        """What later rows may still need: neighbours further back are too far away to count."""
+        reach = max(self.raster_s, self.max_gap_s) + 1e-6
+        return frame.slice(int(np.searchsorted(frame[TIME].to_numpy(), done - reach, side="left")))
+
+
+def _last_known(frame: pl.DataFrame, names: Sequence[str]) -> float:
+    """The earliest of the last times at which each column has a value, -inf where one has none."""
+    last = [frame.select(pl.col(TIME).filter(pl.col(n).is_not_null()).last()).item() for n in names]
+    return min((float(t) if t is not None else -np.inf for t in last), default=-np.inf)

@@ -1,0 +1,83 @@
+"""Formulas of a recipe: arithmetic on columns, written as in a textbook.
+
+A recipe says ``r_cyl = "1 - f_Cyl * 300 / (T_Int * W_HFM)"``. Names are columns of the block, functions are
+those of :data:`FUNCTIONS`; nothing else of Python is reachable.
+"""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from types import CodeType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ingest.errors import RecipeError, did_you_mean
+
+FUNCTIONS: dict[str, Callable[..., Any]] = {
+    "ln": np.log,
+    "exp": np.exp,
+    "sqrt": np.sqrt,
+    "abs": np.abs,
+    "min": np.minimum,
+    "max": np.maximum,
+}
+_ALLOWED = (
+    ast.Expression, ast.BinOp, ast.UnaryOp, ast.Call, ast.Name, ast.Load, ast.Constant,
+    ast.Add, ast.Sub, ast.Mult, ast.Div, ast.Pow, ast.USub, ast.UAdd,
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Formula:
+    """A compiled formula.
+
+    >>> Formula("2 * sqrt(x) + 1")({"x": np.array([4.0, 9.0])})
+    array([5., 7.])
+    >>> sorted(Formula("ln(p_Int / p_Amb)").names)
+    ['p_Amb', 'p_Int']
+
+    Raises:
+        RecipeError: not a formula, or a function that is not known.
+    """
+
+    text: str
+    names: frozenset[str] = field(init=False, compare=False)
+    _code: CodeType = field(init=False, compare=False, repr=False)
+
+    def __post_init__(self) -> None:
+        try:
+            tree = ast.parse(self.text, mode="eval")
+        except SyntaxError as error:
+            raise RecipeError(f"formula {self.text!r} cannot be read: {error.msg}") from None
+        called = {node.func for node in ast.walk(tree) if isinstance(node, ast.Call)}
+        for node in ast.walk(tree):
+            if not isinstance(node, _ALLOWED) or (isinstance(node, ast.Call) and node.keywords):
+                raise RecipeError(f"formula {self.text!r}: only arithmetic and function calls are possible")
+            if isinstance(node, ast.Constant) and not isinstance(node.value, int | float):
+                raise RecipeError(f"formula {self.text!r}: {node.value!r} is not a number")
+        for function in called:
+            if not isinstance(function, ast.Name) or function.id not in FUNCTIONS:
+                name = ast.unparse(function)
+                hint = did_you_mean(name, FUNCTIONS)
+                raise RecipeError(f"formula {self.text!r}: unknown function {name!r}; {hint}")
+        names = {n.id for n in ast.walk(tree) if isinstance(n, ast.Name) and n not in called}
+        object.__setattr__(self, "names", frozenset(names))
+        object.__setattr__(self, "_code", compile(tree, "<formula>", "eval"))
+
+    def __call__(self, columns: Mapping[str, Any]) -> NDArray[np.float64]:
+        """The value for ``columns`` (name to array, all of one shape); undefined values are NaN.
+
+        Raises:
+            RecipeError: a name is not among ``columns``.
+        """
+        if missing := sorted(self.names - columns.keys()):
+            hint = did_you_mean(missing[0], columns)
+            raise RecipeError(f"formula {self.text!r}: there is no {missing[0]!r} here; {hint}")
+        scope = {**FUNCTIONS, **{n: columns[n] for n in self.names}}
+        with np.errstate(all="ignore"):
+            value = np.asarray(eval(self._code, {"__builtins__": {}}, scope), dtype=np.float64)
+        return np.where(np.isfinite(value), value, np.nan)

@@ -1,0 +1,74 @@
+"""Gate: how far a sample is from steady state, since the detectors' relations are static ones.
+
+``gate = prod_i 1 / (1 + (d ln x_i / dt / rate_i)^2)``, in (0, 1]: 1 at rest, 1/2 where one signal changes at
+its ``rate``. The derivative is the causal difference to the previous sample, whatever the raster. Detectors
+weigh their training samples by it, and a residual's spread grows as ``1 / sqrt(gate)``
+(:mod:`stages.residuals`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import numpy as np
+
+from ingest.errors import RecipeError
+from ingest.log import TIME, Log
+from stages.stage import add_columns, columns
+
+GATE = "gate"
+
+
+@dataclass(frozen=True)
+class GateState:
+    """The last sample: time and logarithms."""
+
+    time: float = np.nan
+    log: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gate:
+    """``rate_per_s`` maps a signal to the relative rate of change (1/s) that halves the weight.
+
+    A sample after a gap of more than ``max_gap_s`` has no derivative; it is taken as if at the rate itself.
+
+    Raises:
+        RecipeError: a rate is not positive.
+    """
+
+    version: ClassVar[str] = "1"
+    rate_per_s: Mapping[str, float]
+    max_gap_s: float = 5.0
+
+    def __post_init__(self) -> None:
+        if bad := {n: r for n, r in self.rate_per_s.items() if not r > 0}:
+            raise RecipeError(f"gate: rates must be positive, got {bad}")
+
+    @property
+    def needs(self) -> set[str]:
+        return set(self.rate_per_s)
+
+    @property
+    def adds(self) -> set[str]:
+        return {GATE}
+
+    def start(self) -> GateState:
+        return GateState()
+
+    def step(self, state: GateState, block: Log, /) -> tuple[GateState, Log]:
+        values = columns(block, [TIME, *self.rate_per_s])
+        time = values[TIME]
+        if not time.size:
+            return state, add_columns(block, {GATE: np.empty(0)})
+        dt = np.diff(time, prepend=state.time)
+        gate, last = np.ones(time.size), {}
+        for name, rate in self.rate_per_s.items():
+            log = np.log(np.maximum(values[name], 1e-12))
+            slope = np.diff(log, prepend=state.log.get(name, np.nan)) / dt
+            slope = np.where((dt <= self.max_gap_s) & np.isfinite(slope), slope, rate)
+            gate /= 1.0 + (slope / rate) ** 2
+            last[name] = float(log[-1])
+        return GateState(float(time[-1]), last), add_columns(block, {GATE: gate}, {GATE: "1"})

@@ -1,0 +1,220 @@
+"""GSMMS: growing structure multiple model systems, one static relation ``y = f(x)`` each.
+
+A self-organising map (:mod:`stages.partition`) cuts the space of normalised regressors ``s`` into M regions;
+each has an affine model, and the prediction (5.44) is ``y = sum_m nu_m(s) (a_m + b_m s)``.
+
+- ``hard``: ``nu_m = 1`` in region m, else 0 (5.45). Parameters from weighted least squares (5.50), with
+  weights ``w_m(i) = exp(-dis(m, c(i))^2 / 2 sigma^2)`` (5.49) over *all* samples; as printed the sum runs
+  over region m alone, where every weight is 1. The weight depends on a sample's region only, so the weighted
+  Gram matrix is a mix of the regions' Gram matrices.
+- ``blended``: ``nu_m ~ exp(-|s - xi_m|^2 / 2 w^2)`` normalised to sum 1 (Takagi-Sugeno). All regions are
+  fitted jointly, ``theta_m = theta_0 + delta_m`` with a prior of precision ``lambda`` on ``delta``;
+  ``lambda`` and the width ``w`` maximise the evidence ``-1/2 [N ln RSS + ln |A| - ln |Lambda|]`` (MacKay
+  1992).
+
+Where training data is thin the parameters are uncertain. With ``R R'`` the covariance of all ``theta`` in
+units of the noise variance and ``phi(s) = nu(s) x (1, s)``, the variance of a prediction is ``leverage(s) =
+|phi' R|^2`` times that of the noise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import block_diag
+from scipy.spatial.distance import cdist
+
+from ingest.errors import LogError
+from stages.partition import CHUNK, Growth, Partition, grow
+
+Array = NDArray[np.float64]
+Combination = Literal["hard", "blended"]
+
+
+@dataclass(frozen=True, eq=False)
+class Gsmms:
+    """A fitted relation.
+
+    ``theta``: (M, d + 1), row m is ``[a_m, b_m]``. ``width``: of the blending in s, 0 for hard regions.
+    ``mean`` (M, d) and ``whiten`` (M, d, d): the training samples of a region, for the whitened distance
+    ``|whiten_m (s - mean_m)|`` to what the region has seen; ``reach``: that distance's limit.
+    """
+
+    partition: Partition
+    theta: Array
+    root: Array
+    rms: float
+    width: float
+    mean: Array
+    whiten: Array
+    reach: float
+
+    def predict(self, S: Array) -> Array:
+        """``y`` for normalised regressors ``S`` (N, d), shape (N,); NaN where a regressor is missing."""
+        y = np.full(len(S), np.nan)
+        for k in range(0, len(S), CHUNK):
+            known = np.isfinite(S[k : k + CHUNK]).all(axis=1)
+            s = S[k : k + CHUNK][known]
+            y[k : k + CHUNK][known] = np.einsum("nm,nm->n", self.weights(s), _with_one(s) @ self.theta.T)
+        return y
+
+    def leverage(self, S: Array) -> Array:
+        """Variance of the prediction for want of training data, in units of ``rms^2``, shape (N,)."""
+        out = np.full(len(S), np.nan)
+        for k in range(0, len(S), CHUNK):
+            known = np.isfinite(S[k : k + CHUNK]).all(axis=1)
+            s = S[k : k + CHUNK][known]
+            X = _with_one(s)
+            phi = (self.weights(s)[:, :, None] * X[:, None, :]).reshape(len(s), self.theta.size)
+            out[k : k + CHUNK][known] = ((phi @ self.root) ** 2).sum(axis=1)
+        return out
+
+    def weights(self, S: Array) -> Array:
+        """``nu_m(s)``, shape (N, M)."""
+        if self.width == 0:
+            return np.eye(len(self.theta))[self.partition.assign(S)]
+        return _blend(S, self.partition.nodes, self.width)
+
+    def novelty(self, S: Array) -> Array:
+        """Whitened distance to the best matching region's training samples over ``reach``, shape (N,); above
+        1 the sample is out of the trained domain, NaN where a regressor is missing."""
+        unit = self.partition.assign(S)
+        away = np.einsum("nij,nj->ni", self.whiten[unit], S - self.mean[unit])
+        return np.asarray(np.where(unit >= 0, np.sqrt((away**2).sum(axis=1)) / self.reach, np.nan))
+
+    def to_arrays(self) -> dict[str, NDArray[np.float64] | NDArray[np.int64]]:
+        return {
+            "nodes": self.partition.nodes, "edges": self.partition.edges, "theta": self.theta,
+            "root": self.root, "rms": np.array(self.rms), "width": np.array(self.width),
+            "mean": self.mean, "whiten": self.whiten, "reach": np.array(self.reach),
+        }  # fmt: skip
+
+    @classmethod
+    def from_arrays(cls, a: dict[str, NDArray[np.float64]]) -> Gsmms:
+        partition = Partition(a["nodes"], a["edges"].astype(np.int64))
+        return cls(
+            partition, a["theta"], a["root"], float(a["rms"]), float(a["width"]),
+            a["mean"], a["whiten"], float(a["reach"]),
+        )  # fmt: skip
+
+
+def fit_gsmms(
+    S: Array,
+    y: Array,
+    weight: Array | None = None,
+    *,
+    growth: Growth | None = None,
+    combination: Combination = "blended",
+    neighbourhood: float = 0.4,
+) -> Gsmms:
+    """Fit ``y`` (N,) on normalised regressors ``S`` (N, d) with sample weights (N,); incomplete rows do not
+    count.
+
+    ``neighbourhood`` is sigma of (5.49) in edges of the map, for ``hard`` regions.
+
+    Raises:
+        LogError: fewer complete rows than three per parameter of one affine model.
+
+    >>> s = np.linspace(0, 1, 400)[:, None]
+    >>> model = fit_gsmms(s, np.sin(6 * s[:, 0]), growth=Growth(nodes=8))
+    >>> bool(np.abs(model.predict(s) - np.sin(6 * s[:, 0])).max() < 0.02)
+    True
+    """
+    weight = np.ones(len(y)) if weight is None else weight
+    known = np.isfinite(S).all(axis=1) & np.isfinite(y) & (weight > 0)
+    S, y, weight = S[known], y[known], weight[known]
+    if len(S) < 3 * (S.shape[1] + 1):
+        raise LogError(
+            f"{len(S)} complete samples are too few for a model with {S.shape[1]} regressors; "
+            f"at least {3 * (S.shape[1] + 1)} are needed: take longer or more fault-free logs"
+        )
+    partition = grow(S, y, weight, growth)
+    if combination == "hard" or len(partition.nodes) == 1:
+        theta, root, width = *_fit_hard(partition, S, y, weight, neighbourhood), 0.0
+    else:
+        theta, root, width = _fit_blended(partition.nodes, S, y, weight)
+    mean, whiten, reach = _domain(partition, S)
+    model = Gsmms(partition, theta, root, 1.0, width, mean, whiten, reach)
+    return replace(model, rms=float(np.sqrt(np.average((y - model.predict(S)) ** 2, weights=weight))))
+
+
+def _with_one(S: Array) -> Array:
+    return np.column_stack([np.ones(len(S)), S])
+
+
+def _blend(S: Array, nodes: Array, width: float) -> Array:
+    exponent = -cdist(S, nodes, "sqeuclidean") / (2 * width**2)
+    nu = np.exp(exponent - exponent.max(axis=1, keepdims=True))
+    return np.asarray(nu / nu.sum(axis=1, keepdims=True))
+
+
+def _fit_hard(
+    partition: Partition, S: Array, y: Array, weight: Array, neighbourhood: float
+) -> tuple[Array, Array]:
+    """(5.48)-(5.50) from the regions' Gram matrices; theta and the root of its covariance."""
+    X, unit = _with_one(S), partition.assign(S)
+    regions = [unit == m for m in range(len(partition.nodes))]
+    G = np.stack([X[r].T @ (X[r] * weight[r, None]) for r in regions])
+    h = np.stack([X[r].T @ (weight[r] * y[r]) for r in regions])
+    mix = np.exp(-(partition.distances() ** 2) / (2 * neighbourhood**2))
+    G, h = np.einsum("mc,cij->mij", mix, G), mix @ h
+    inverse = np.linalg.pinv(G, hermitian=True)
+    values, vectors = np.linalg.eigh(inverse)
+    root = block_diag(*(vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]))
+    return np.einsum("mij,mj->mi", inverse, h), np.asarray(root)
+
+
+def _fit_blended(nodes: Array, S: Array, y: Array, weight: Array) -> tuple[Array, Array, float]:
+    """Joint shrunk least squares; ``lambda`` and the width by evidence. Theta, root, width."""
+    M, k = len(nodes), S.shape[1] + 1
+    centre, scale = np.average(y, weights=weight), np.sqrt(np.cov(y, aweights=weight, ddof=0)) or 1.0
+    target, N = (y - centre) / scale, weight.sum()
+    apart = cdist(nodes, nodes) + np.diag(np.full(M, np.inf))
+    spacing = float(apart.min(axis=1).mean())
+    best: tuple[float, Array, Array, float] | None = None
+    for factor in (0.7, 1.0, 1.4, 2.0):
+        G, h, yy = np.zeros(((M + 1) * k, (M + 1) * k)), np.zeros((M + 1) * k), float(weight @ target**2)
+        for i in range(0, len(S), CHUNK):
+            rows = slice(i, i + CHUNK)
+            X = _with_one(S[rows])
+            local = _blend(S[rows], nodes, factor * spacing)[:, :, None] * X[:, None, :]
+            F = np.hstack([X, local.reshape(len(X), M * k)])
+            G += F.T @ (F * weight[rows, None])
+            h += F.T @ (weight[rows] * target[rows])
+        for shrink in (0.01, 0.1, 1.0, 10.0):
+            prior = np.concatenate([np.full(k, 1e-3), np.full(M * k, shrink)])
+            L = np.linalg.cholesky(G + np.diag(prior))
+            z = np.linalg.solve(L, h)
+            cost = (
+                N * np.log(max(yy - z @ z, 1e-12 * yy) / N)
+                + 2 * np.log(np.diag(L)).sum()
+                - np.log(prior).sum()
+            )
+            if best is None or cost < best[0]:
+                best = (float(cost), z, L, factor * spacing)
+    assert best is not None
+    _, z, L, width = best
+    total = np.hstack([np.tile(np.eye(k), (M, 1)), np.eye(M * k)])  # theta_m = theta_0 + delta_m
+    theta = scale * (total @ np.linalg.solve(L.T, z)).reshape(M, k)
+    theta[:, 0] += centre
+    return theta, np.asarray(np.linalg.solve(L, total.T).T, dtype=np.float64), width
+
+
+def _domain(partition: Partition, S: Array) -> tuple[Array, Array, float]:
+    """Mean and whitening of each region's samples, and the 99.9 % quantile of the whitened distance."""
+    unit, (M, d) = partition.assign(S), partition.nodes.shape
+    common = np.cov(S.T, ddof=0).reshape(d, d)
+    mean, whiten = partition.nodes.copy(), np.empty((M, d, d))
+    prior = d + 2
+    for m in range(M):
+        rows = S[unit == m]
+        spread = common / M ** (2 / d)  # what a region of average size would have
+        if len(rows) > 1:
+            mean[m] = rows.mean(axis=0)
+            spread = (len(rows) * np.cov(rows.T, ddof=0).reshape(d, d) + prior * spread) / (len(rows) + prior)
+        whiten[m] = np.linalg.inv(np.linalg.cholesky(spread + 1e-9 * np.eye(d)))
+    away = np.einsum("nij,nj->ni", whiten[unit], S - mean[unit])
+    return mean, whiten, float(np.quantile(np.sqrt((away**2).sum(axis=1)), 0.999))

@@ -1,0 +1,76 @@
+"""Normalise: min-max scaling of regressors, (4.21) and (5.23), learned from fault-free training logs.
+
+``x_norm = (x - lo) / (hi - lo)``, so that distances in the operating space weigh every regressor alike.
+The scaled copy of a column ``x`` is the column ``x.norm``; the column itself keeps its unit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import ClassVar, Literal, Self
+
+import numpy as np
+
+from ingest.errors import LogError, RecipeError
+from ingest.log import Log
+from stages.stage import Arrays, add_columns, columns
+
+SUFFIX = ".norm"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Normalise:
+    """``lo`` and ``hi`` of each of ``columns``; ``tail`` is the share of samples left out at either end, so
+    that a single spike does not squeeze the rest (0: the plain minimum and maximum).
+
+    Raises:
+        RecipeError: ``tail`` is not in [0, 0.5), or nothing has been learned yet.
+        LogError: a column is constant or missing throughout the training logs.
+    """
+
+    version: ClassVar[str] = "1"
+    learns_from: ClassVar[Literal["training"]] = "training"
+    columns: tuple[str, ...]
+    tail: float = 0.0
+    learned: Arrays = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.tail < 0.5:
+            raise RecipeError(f"normalise: tail = {self.tail} must be in [0, 0.5)")
+
+    def fit(self, blocks: Sequence[Log]) -> Self:
+        lo, hi = [], []
+        for name in self.columns:
+            x = np.concatenate([columns(b, [name])[name] for b in blocks])
+            x = x[np.isfinite(x)]
+            low, high = np.quantile(x, [self.tail, 1 - self.tail]) if x.size else (0.0, 0.0)
+            if not high > low:
+                raise LogError(
+                    f"normalise: {name!r} is {'constant' if x.size else 'missing'} in the training logs; "
+                    "take it out of the recipe or train on logs in which it varies"
+                )
+            lo.append(low)
+            hi.append(high)
+        return replace(self, learned={"lo": np.array(lo), "hi": np.array(hi)})
+
+    @property
+    def needs(self) -> set[str]:
+        return set(self.columns)
+
+    @property
+    def adds(self) -> set[str]:
+        return {n + SUFFIX for n in self.columns}
+
+    def start(self) -> None:
+        return None
+
+    def step(self, state: None, block: Log, /) -> tuple[None, Log]:
+        if not self.learned:
+            raise RecipeError("normalise: nothing learned yet; fit it first")
+        lo, hi = self.learned["lo"], self.learned["hi"]
+        scaled = {
+            n + SUFFIX: (x - lo[i]) / (hi[i] - lo[i])
+            for i, (n, x) in enumerate(columns(block, self.columns).items())
+        }
+        return None, add_columns(block, scaled, dict.fromkeys(scaled, "1"))

@@ -1,0 +1,141 @@
+"""Residuals: measured against predicted, with the spread that a healthy system shows in the same regime.
+
+A residual is a formula of signals and relations, such as those of (5.40)-(5.41). Its spread ``sigma`` is
+learned per operating regime from fault-free calibration logs: the root mean square about zero, weighted by
+the gate, of values within 8 robust standard deviations, shrunk to the spread over all regimes as if that had
+been seen in ``prior_samples`` further samples. Away from steady state the spread of a sample is ``sigma /
+sqrt(gate)``; where a relation is in doubt for want of training data (:mod:`stages.relations`) the residual
+inherits that as ``model_sd``, by finite differences. Columns: ``residual.<r>``, ``model_sd.<r>``,
+``sigma.<r>`` (all of it) and ``z.<r> = residual / sigma``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, ClassVar, Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ingest.errors import LogError, RecipeError
+from ingest.log import TIME, Log
+from stages.formula import Formula
+from stages.gate import GATE
+from stages.relations import REGIME, SD
+from stages.stage import ANALYSIS, Arrays, add_columns, columns
+
+RESIDUAL, MODEL_SD, SIGMA, Z = "residual.", "model_sd.", "sigma.", "z."
+MIN_GATE = 1e-3
+
+
+@dataclass(frozen=True, kw_only=True)
+class Residuals:
+    """``residuals`` maps a name to its formula, ``units`` to its unit; ``floor`` is the smallest spread
+    allowed.
+
+    Raises:
+        RecipeError: a formula cannot be read, or nothing has been learned yet.
+        LogError: a residual has no value in the calibration logs.
+    """
+
+    version: ClassVar[str] = "1"
+    learns_from: ClassVar[Literal["calibration"]] = "calibration"
+    residuals: Mapping[str, str]
+    units: Mapping[str, str] = field(default_factory=dict)
+    floor: Mapping[str, float] = field(default_factory=dict)
+    prior_samples: float = 50.0
+    learned: Arrays = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        assert self.formulas is not None
+
+    @cached_property
+    def formulas(self) -> dict[str, Formula]:
+        return {name: Formula(text) for name, text in self.residuals.items()}
+
+    def fit(self, blocks: Sequence[Log]) -> Self:
+        parts = [columns(b) for b in blocks]
+        values = {n: np.concatenate([p[n] for p in parts]) for n in parts[0]}
+        regime, gate = values[REGIME], _gate(values)
+        M = int(np.nanmax(regime, initial=0)) + 1
+        sigma = [self._spread(name, f(values), regime, gate, M) for name, f in self.formulas.items()]
+        return replace(self, learned={"sigma": np.stack(sigma)})
+
+    def _spread(
+        self,
+        name: str,
+        e: NDArray[np.float64],
+        regime: NDArray[np.float64],
+        gate: NDArray[np.float64],
+        M: int,
+    ) -> NDArray[np.float64]:
+        """Per regime, and last for a regime never met; shape (M + 1,)."""
+        known = np.isfinite(e) & (regime >= 0)
+        if not known.any():
+            raise LogError(
+                f"residual {name!r} has no value in the calibration logs; see the signals it needs"
+            )
+        e, unit, gate = e[known] * np.sqrt(gate[known]), regime[known].astype(int), gate[known]
+        robust = 1.4826 * float(np.median(np.abs(e - np.median(e)))) or float(e.std())
+        inside = np.abs(e) <= 8 * robust
+        e, unit, gate = e[inside], unit[inside], gate[inside]
+        square = np.bincount(unit, e**2, minlength=M)
+        mass = np.bincount(unit, minlength=M).astype(float)
+        overall = square.sum() / max(mass.sum(), 1.0)
+        variance = (square + self.prior_samples * overall) / (mass + self.prior_samples)
+        sigma = np.sqrt(np.append(variance, overall))
+        return np.asarray(np.maximum(sigma, max(self.floor.get(name, 0.0), 1e-12)))
+
+    @property
+    def needs(self) -> set[str]:
+        return {REGIME}.union(*(f.names for f in self.formulas.values()))
+
+    @property
+    def adds(self) -> set[str]:
+        return {k + r for r in self.residuals for k in (RESIDUAL, MODEL_SD, SIGMA, Z)}
+
+    def start(self) -> None:
+        return None
+
+    def step(self, state: None, block: Log, /) -> tuple[None, Log]:
+        if not self.learned:
+            raise RecipeError("residuals: nothing learned yet; fit it first")
+        values = columns(block)
+        table = self.learned["sigma"]
+        regime = np.nan_to_num(values[REGIME], nan=-1).astype(int)
+        unit = np.where((regime < 0) | (regime >= table.shape[1] - 1), table.shape[1] - 1, regime)
+        widen = 1.0 / np.sqrt(_gate(values))
+        added: dict[str, NDArray[Any]] = {}
+        units: dict[str, str] = {}
+        for i, (name, formula) in enumerate(self.formulas.items()):
+            e = np.broadcast_to(formula(values), widen.shape)
+            doubt = _model_sd(formula, values, e)
+            sigma = np.hypot(table[i, unit] * widen, doubt)
+            added |= {RESIDUAL + name: e, MODEL_SD + name: doubt, SIGMA + name: sigma, Z + name: e / sigma}
+            units |= dict.fromkeys(
+                (RESIDUAL + name, MODEL_SD + name, SIGMA + name), self.units.get(name, "1")
+            )
+        return None, add_columns(block, added, units)
+
+
+def _model_sd(
+    formula: Formula, values: Mapping[str, NDArray[np.float64]], e: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Standard deviation that the relations' own doubts give a residual, shape of ``e``."""
+    square = np.zeros_like(e)
+    for name in formula.names:
+        if name + SD in values:
+            square += (formula({**values, name: values[name] + values[name + SD]}) - e) ** 2
+    return np.sqrt(square)
+
+
+def residual_names(block: Log) -> list[str]:
+    """The residuals that a block carries, in order."""
+    return [n.removeprefix(RESIDUAL) for n in block.groups[ANALYSIS].signals if n.startswith(RESIDUAL)]
+
+
+def _gate(values: Mapping[str, NDArray[np.float64]]) -> NDArray[np.float64]:
+    gate = values.get(GATE, np.ones(values[TIME].shape))
+    return np.maximum(np.nan_to_num(gate, nan=MIN_GATE), MIN_GATE)

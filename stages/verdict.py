@@ -1,0 +1,167 @@
+"""Verdict: a log's samples in a few words.
+
+Alarms that lie less than ``merge_s`` apart are one event. Its fault is the one with the largest probability
+at its end, its confidence that probability, and the log's verdict is that of its strongest event, the one
+with the largest evidence reached.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import polars as pl
+from numpy.typing import NDArray
+
+from ingest.log import TIME, Event, Log
+from stages.detect import DETECTION
+from stages.gate import GATE
+from stages.isolate import EVIDENCE, PROBABILITY, UNKNOWN
+from stages.relations import IN_DOMAIN
+from stages.residuals import RESIDUAL, SIGMA, Z
+from stages.results import Verdict
+
+ONSET_BACK_S, ONSET_AFTER_S = 600.0, 30.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Judge:
+    """``min_evidence_s``: seconds of usable samples below which no alarm means nothing; ``channels``: the
+    sensor that a fault concerns, if one."""
+
+    min_evidence_s: float = 45.0
+    merge_s: float = 10.0
+    channels: Mapping[str, str] | None = None
+
+    def verdict(
+        self,
+        log: Log,
+        samples: pl.DataFrame,
+        *,
+        recipe: str,
+        detector: str | None,
+        quality: Mapping[str, Any],
+    ) -> Verdict:
+        """The verdict on ``log`` from its ``samples`` (columns as in :class:`stages.results.Diagnosis`)."""
+        usable = usable_seconds(samples)
+        statistics: dict[str, Any] = {"usable_s": round(usable, 3), "residuals": residual_statistics(samples)}
+        if truth := sorted({e.kind for e in log.events if e.source == "truth"}):
+            statistics["truth"] = truth
+        none = Verdict(
+            log=log.name, recipe=recipe, detector=detector, quality=quality, statistics=statistics,
+            fault="none" if usable >= self.min_evidence_s else "insufficient_evidence",
+        )  # fmt: skip
+        episodes = self._episodes(samples)
+        if not episodes:
+            return none
+        events = [self._event(samples, first, last) for first, last in episodes]
+        strength = [self._strength(samples, first, last) for first, last in episodes]
+        chosen = int(np.argmax(strength))
+        probability = self._probability(samples, episodes[chosen][1])
+        event = events[chosen]
+        return replace(
+            none,
+            fault=event.kind,
+            signal=event.channel,
+            set=tuple(f for f, p in sorted(probability.items(), key=lambda x: -x[1]) if p > 0.05),
+            probability=probability,
+            onset_s=event.t_start,
+            detected_s=float(samples[TIME][episodes[chosen][0]]),
+            events=tuple(events),
+        )
+
+    def _episodes(self, samples: pl.DataFrame) -> list[tuple[int, int]]:
+        """First and last row of each alarm, close ones merged."""
+        rows = np.flatnonzero(samples[DETECTION].to_numpy() > 0)
+        if not rows.size:
+            return []
+        time = samples[TIME].to_numpy()
+        breaks = np.flatnonzero((np.diff(rows) > 1) & (np.diff(time[rows]) > self.merge_s))
+        starts, ends = np.append(0, breaks + 1), np.append(breaks, rows.size - 1)
+        return [(int(rows[a]), int(rows[b])) for a, b in zip(starts, ends, strict=True)]
+
+    def _probability(self, samples: pl.DataFrame, row: int) -> dict[str, float]:
+        return {
+            c.removeprefix(PROBABILITY): round(float(samples[c][row]), 6)
+            for c in samples.columns
+            if c.startswith(PROBABILITY)
+        }
+
+    def _event(self, samples: pl.DataFrame, first: int, last: int) -> Event:
+        probability = self._probability(samples, last)
+        fault = max(probability, key=lambda f: probability[f])
+        ended = last < samples.height - 1
+        return Event(
+            t_start=onset(samples, first),
+            t_end=float(samples[TIME][last]) if ended else None,
+            kind=fault,
+            channel=(self.channels or {}).get(fault),
+            confidence=probability[fault],
+            source="dynoscope",
+        )
+
+    def _strength(self, samples: pl.DataFrame, first: int, last: int) -> float:
+        names = [c for c in samples.columns if c.startswith(EVIDENCE) and c != EVIDENCE + UNKNOWN]
+        part = samples.slice(first, last - first + 1)
+        return max(float(part[c].max() or 0.0) for c in names)  # type: ignore[arg-type]
+
+
+def onset(samples: pl.DataFrame, first: int) -> float:
+    """When the fault began that was detected at row ``first``, in s on the log's clock.
+
+    The change point k that maximises the likelihood of a shift of the residual means from row k on, ``sum_r
+    (sum_{i >= k} e_i / sigma_i^2)^2 / (2 sum_{i >= k} 1 / sigma_i^2)``, over the last 600 s before the
+    detection; samples up to 30 s after it count as evidence.
+    """
+    time = samples[TIME].to_numpy()
+    a = int(np.searchsorted(time, time[first] - ONSET_BACK_S))
+    b = int(np.searchsorted(time, time[first] + ONSET_AFTER_S, side="right"))
+    part = samples.slice(a, b - a)
+    gain = np.zeros(first - a + 1)
+    for c in samples.columns:
+        if not c.startswith(RESIDUAL):
+            continue
+        e, sigma = _array(part, c), _array(part, SIGMA + c.removeprefix(RESIDUAL))
+        weight = np.where(np.isfinite(e), 1 / sigma**2, 0.0)
+        S0 = np.cumsum(weight[::-1])[::-1]
+        S1 = np.cumsum((weight * np.nan_to_num(e))[::-1])[::-1]
+        gain += (S1**2 / np.maximum(2 * S0, 1e-12))[: len(gain)]
+    return float(time[a + int(np.argmax(gain))])
+
+
+def usable_seconds(samples: pl.DataFrame) -> float:
+    """Seconds of samples that say something: every residual known, and at rest (gate at least 1/2)."""
+    if samples.height < 2:
+        return 0.0
+    time = samples[TIME].to_numpy()
+    step = np.minimum(np.diff(time, prepend=time[0]), 1.0)
+    known = np.ones(samples.height, dtype=bool)
+    for c in samples.columns:
+        if c.startswith(RESIDUAL):
+            known &= np.isfinite(_array(samples, c))
+    if GATE in samples.columns:
+        known &= _array(samples, GATE) >= 0.5
+    return float(step[known].sum())
+
+
+def residual_statistics(samples: pl.DataFrame) -> dict[str, dict[str, float | None]]:
+    """Per residual: mean, root mean square of z, share of samples beyond 3 sigma; and the share in domain."""
+    out: dict[str, dict[str, float | None]] = {}
+    for c in samples.columns:
+        if c.startswith(Z):
+            z = _array(samples, c)
+            z, e = z[np.isfinite(z)], _array(samples, RESIDUAL + c.removeprefix(Z))
+            known = bool(z.size)
+            out[c.removeprefix(Z)] = {
+                "mean": float(np.nanmean(e)) if known else None,
+                "z_rms": float(np.sqrt(np.mean(z**2))) if known else None,
+                "beyond_3_sigma": float(np.mean(np.abs(z) > 3)) if known else None,
+            }
+    in_domain = samples[IN_DOMAIN].mean() if samples.height else None
+    return {**out, IN_DOMAIN: {"share": float(in_domain) if in_domain is not None else None}}  # type: ignore[arg-type]
+
+
+def _array(samples: pl.DataFrame, column: str) -> NDArray[np.float64]:
+    return samples[column].cast(pl.Float64).fill_null(float("nan")).to_numpy()
