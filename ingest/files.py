@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from difflib import get_close_matches
 from glob import glob, has_magic
 from pathlib import Path
 from typing import cast
@@ -82,24 +85,35 @@ def find_logs(patterns: Iterable[str | Path]) -> list[Path]:
     """The files meant by files, folders, globs, ``file://`` URLs and ``@list.txt`` (one of these a line).
 
     Of a folder its own files with a suffix of a known format count, in order of their names. Each file counts
-    once, where it is meant first.
+    once, where it is meant first. What means no file stands in the result as it is, so that reading it fails
+    and the others are read.
 
     Raises:
-        LogError: some of them mean nothing; all such are listed.
+        LogError: none of them means a file; all are listed.
     """
     found: dict[Path, None] = {}
     mistakes: list[str] = []
     for pattern in patterns:
-        found |= dict.fromkeys(_meant(str(pattern), mistakes))
-    if mistakes:
-        raise LogError("\n".join(mistakes))
+        found |= dict.fromkeys(_meant(str(pattern), mistakes) or [Path(pattern)])
+    if not any(p.is_file() for p in found):
+        raise LogError("\n".join(mistakes) or "no logs were named")
     return list(found)
 
 
 def unique_stems(paths: Sequence[Path]) -> list[str]:
     """A folder name for each log: its stem, and for equal stems ``<stem>-<8 hex digits of its sha256>``."""
-    stems = [p.stem for p in paths]
-    return [s if stems.count(s) == 1 else f"{s}-{sha256(p)[:8]}" for s, p in zip(stems, paths, strict=True)]
+    stems = Counter(p.stem for p in paths)
+    twice = [p.is_file() and stems[p.stem] > 1 for p in paths]
+    return [f"{p.stem}-{sha256(p)[:8]}" if t else p.stem for p, t in zip(paths, twice, strict=True)]
+
+
+def group_file(group: str) -> str:
+    """The name of a group's own Parquet file; characters that a file name cannot have are escaped.
+
+    >>> group_file("ecu"), group_file("a/b")
+    ('ecu.parquet', 'a%2Fb.parquet')
+    """
+    return re.sub(r'^\.|[\x00-\x1f/\\:*?"<>|%]', lambda m: f"%{ord(m[0]):02X}", group) + ".parquet"
 
 
 def sha256(path: Path) -> str:
@@ -120,10 +134,9 @@ def _canonical(found: Recording, names: NameMap, mapped: bool) -> Log:
 def _readable(path: Path) -> Iterator[None]:
     try:
         if not path.exists():
-            siblings = [p.name for p in path.parent.iterdir()] if path.parent.is_dir() else []
-            raise LogError(f"{path}: there is no such file; {did_you_mean(path.name, siblings)}")
+            raise LogError(_missing(path))
         if path.is_dir():
-            raise LogError(f"{path} is a folder; expected a file")
+            raise LogError(f"{path} is a folder without logs in it; expected a file")
         yield
     except OSError as error:
         raise LogError(f"{path} cannot be read: {error.strerror or error}") from error
@@ -166,9 +179,15 @@ def _meant(pattern: str, mistakes: list[str]) -> list[Path]:
         if not files:
             mistakes.append(f"{pattern}: no file fits this pattern")
         return files
-    siblings = [p.name for p in path.parent.iterdir()] if path.parent.is_dir() else []
-    mistakes.append(f"{pattern}: there is no such file; {did_you_mean(path.name, siblings)}")
+    mistakes.append(_missing(path))
     return []
+
+
+def _missing(path: Path) -> str:
+    if not path.parent.is_dir():
+        return f"{path}: there is no folder {path.parent}"
+    near = get_close_matches(path.name, [p.name for p in path.parent.iterdir()])
+    return f"{path}: there is no such file{f'; did you mean {near[0]}?' if near else ''}"
 
 
 def _listed(path: Path, mistakes: list[str]) -> list[Path]:

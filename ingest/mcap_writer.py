@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Mapping, Sequence
+from collections import deque
+from collections.abc import Iterable, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import IO
 
@@ -46,7 +48,7 @@ class Batch:
 
 @dataclass
 class McapWriter:
-    """One file: ``add`` batches and metadata, then ``finish``.
+    """One file: ``add_metadata``, ``add`` batches, then ``finish``.
 
     Schemas and channels stand in the first chunk and again in the summary, as other writers do it.
     """
@@ -61,32 +63,30 @@ class McapWriter:
     def __post_init__(self) -> None:
         self.stream.write(MCAP0_MAGIC)
         self.stream.write(_bytes(Header(profile="", library="dynoscope")))
-        self._compress = zstandard.ZstdCompressor(level=3).compress
 
     def add_metadata(self, name: str, pairs: Mapping[str, str]) -> None:
         record = _bytes(Metadata(name=name, metadata=dict(pairs)))
         self.metadata.append(MetadataIndex(offset=self.stream.tell(), length=len(record), name=name))
         self.stream.write(record)
 
-    def add(self, batch: Batch) -> None:
-        """Writes a batch as one chunk with its message index."""
-        first = b"" if self.chunks else _bytes(*self.schemas, *self.channels)
-        records = first + batch.records
-        data = self._compress(records)
-        chunk = Chunk(
-            compression="zstd",
-            data=data,
-            message_start_time=int(batch.log_time.min()),
-            message_end_time=int(batch.log_time.max()),
-            uncompressed_crc=zlib.crc32(records),
-            uncompressed_size=len(records),
-        )
+    def add(self, batches: Iterable[Batch]) -> None:
+        """Writes each batch as one chunk with its message index; two are packed at a time."""
+        first = _bytes(*self.schemas, *self.channels)
+        pending: deque[tuple[Batch, int, Future[Chunk]]] = deque()
+        with ThreadPoolExecutor(2) as pool:  # packing is most of the work, and runs outside the interpreter
+            for batch in batches:
+                pending.append((batch, len(first), pool.submit(_pack, batch, first)))
+                first = b""
+                if len(pending) > 2:
+                    self._write(*_done(pending))
+            while pending:
+                self._write(*_done(pending))
+
+    def _write(self, batch: Batch, shift: int, chunk: Chunk) -> None:
         start = self.stream.tell()
         self.stream.write(_bytes(chunk))
         index_start = self.stream.tell()
-        entries = (
-            np.column_stack([batch.log_time, batch.offset + np.uint64(len(first))]).astype("<u8").tobytes()
-        )
+        entries = np.column_stack([batch.log_time, batch.offset + np.uint64(shift)]).astype("<u8").tobytes()
         head = struct.pack("<BQHI", Opcode.MESSAGE_INDEX, 6 + len(entries), batch.channel_id, len(entries))
         self.stream.write(head + entries)
         self.counts[batch.channel_id] = self.counts.get(batch.channel_id, 0) + len(batch.log_time)
@@ -95,7 +95,7 @@ class McapWriter:
                 chunk_length=index_start - start,
                 chunk_start_offset=start,
                 compression=chunk.compression,
-                compressed_size=len(data),
+                compressed_size=len(chunk.data),
                 message_end_time=chunk.message_end_time,
                 message_index_length=len(head) + len(entries),
                 message_index_offsets={batch.channel_id: index_start},
@@ -136,6 +136,23 @@ class McapWriter:
             metadata_count=len(self.metadata),
             schema_count=len(self.schemas),
         )
+
+
+def _pack(batch: Batch, first: bytes) -> Chunk:
+    records = first + batch.records
+    return Chunk(
+        compression="zstd",
+        data=zstandard.compress(records, level=3),
+        message_start_time=int(batch.log_time.min()),
+        message_end_time=int(batch.log_time.max()),
+        uncompressed_crc=zlib.crc32(records),
+        uncompressed_size=len(records),
+    )
+
+
+def _done(pending: deque[tuple[Batch, int, Future[Chunk]]]) -> tuple[Batch, int, Chunk]:
+    batch, shift, packed = pending.popleft()
+    return batch, shift, packed.result()
 
 
 def _bytes(*records: McapRecord) -> bytes:

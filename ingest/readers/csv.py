@@ -12,6 +12,7 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import polars as pl
 
 from ingest.about import about_json, parse_about
@@ -46,7 +47,7 @@ def header(path: Path, names: NameMap) -> Recording:
         about, head = _about(path, _as_utf8(first + file.read(HEAD))[0])
     dialect = sniff(str(path), head[:HEAD], names.time)
     schema = dict.fromkeys((c.name for c in dialect.columns), pl.Float64)
-    return Recording(_log(path, dialect, pl.DataFrame(schema=schema), {}, about))
+    return Recording(_log(path, dialect, pl.DataFrame(schema=schema), {}, about, {}))
 
 
 def read(path: Path, names: NameMap) -> Recording:
@@ -58,17 +59,19 @@ def read(path: Path, names: NameMap) -> Recording:
     data, notes = _as_utf8(path.read_bytes())
     about, data = _about(path, data)
     dialect = sniff(str(path), data[:HEAD], names.time)
-    body, cut = _complete_lines(data[dialect.start :], dialect)
+    body, facts = _whole_lines(data[dialect.start :], dialect)
     frame, flags = _second_look(path, body, dialect, _parse(path, body, dialect, pl.Float64))
-    frame = frame.filter(~pl.all_horizontal(pl.all().is_null()))
+    if frame[frame.columns[-1]].null_count():
+        notes += _short_rows(body, dialect)
     clock = dialect.columns[dialect.time]
     written = clock.written if clock.written not in frame.columns else TIME
-    frame, facts = with_time(str(path), frame.rename({TIME: written}), written, clock.unit, names.time)
+    frame = frame.filter(~pl.all_horizontal(pl.all().is_null())).rename({TIME: written})
+    frame, told = with_time(str(path), frame, written, clock.unit, names.time)
     if frame.is_empty():
         raise LogError(f"{path}: no samples: no complete row whose time is a number")
-    if notes := [*notes, *([cut] if cut else []), *facts.get("notes", ())]:
-        about["facts"] = {**about.get("facts", {}), "notes": notes}
-    return Recording(_log(path, dialect, frame, flags, about))
+    if notes := [*notes, *facts.get("notes", ()), *told.get("notes", ())]:
+        facts["notes"] = notes
+    return Recording(_log(path, dialect, frame, flags, about, facts))
 
 
 def _about(path: Path, data: bytes) -> tuple[dict[str, Any], bytes]:
@@ -96,15 +99,30 @@ def _as_utf8(data: bytes) -> tuple[bytes, list[str]]:
     return data, notes
 
 
-def _complete_lines(body: bytes, dialect: Dialect) -> tuple[bytes, str | None]:
+def _whole_lines(body: bytes, dialect: Dialect) -> tuple[bytes, dict[str, list[str]]]:
+    """The lines that have an end, and facts about one that has none."""
     if body.endswith(b"\n") or not body:
-        return body, None
+        return body, {}
     end = body.rfind(b"\n") + 1
-    last = body[end:].decode("utf-8", "replace")
-    fields = last.count(dialect.separator) + 1
-    short = fields < len(dialect.columns)
-    what = f"it has {fields} of {len(dialect.columns)} fields" if short else "it may be cut in a number"
-    return body[:end], f"the last line has no line end and was dropped: {what}"
+    fields = body[end:].count(dialect.separator.encode()) + 1
+    dropped = "the last line has no line end and was dropped: "
+    if fields < len(dialect.columns):
+        return body[:end], {"salvaged": [f"{dropped}{fields} of {len(dialect.columns)} fields"]}
+    return body[:end], {"notes": [f"{dropped}it may be cut in a number"]}
+
+
+def _short_rows(body: bytes, dialect: Dialect) -> list[str]:
+    """A note on rows with fewer fields than names; they read as if the last cells were empty."""
+    if b'"' in body:
+        return []  # a quoted separator is none
+    characters = np.frombuffer(body, np.uint8)
+    ends = np.flatnonzero(characters == ord("\n"))
+    separators = np.flatnonzero(characters == ord(dialect.separator))
+    fields = np.diff(np.searchsorted(separators, ends), prepend=0) + 1
+    blank = np.diff(ends, prepend=-1) <= 2
+    width = len(dialect.columns) - (not dialect.columns[-1].written)
+    short = int(((fields < width) & ~blank).sum())
+    return [f"{short} rows have fewer fields than the {width} names"] if short else []
 
 
 def _parse(path: Path, body: bytes, dialect: Dialect, dtype: type[pl.DataType], *only: int) -> pl.DataFrame:
@@ -157,7 +175,12 @@ def _second_look(
 
 
 def _log(
-    path: Path, dialect: Dialect, frame: pl.DataFrame, flags: dict[str, str], about: dict[str, Any]
+    path: Path,
+    dialect: Dialect,
+    frame: pl.DataFrame,
+    flags: dict[str, str],
+    about: dict[str, Any],
+    facts: dict[str, Any],
 ) -> Log:
     known = about.get("signals", {})
     signals = {}
@@ -175,7 +198,8 @@ def _log(
         if len(parts) > 1:
             part = part.filter(pl.any_horizontal(pl.col(columns).is_not_null()))
         groups[name] = Group(name, part, {c: signals[c] for c in columns})
-    facts = {**about.get("facts", {}), **({"head": list(dialect.above)} if any(dialect.above) else {})}
+    above = {"head": list(dialect.above)} if any(dialect.above) else {}
+    facts = {**about.get("facts", {}), **above, **facts}
     events = tuple(Event(**e) for e in about.get("events", ()))
     return Log(about.get("name", path.stem), groups, events, facts)
 

@@ -197,6 +197,5 @@ def write(log: Log, path: Path) -> None:
     with path.open("wb") as stream:
         writer = McapWriter(stream, schemas, channels)
         writer.add_metadata(_ABOUT, {"log": text, "crc32": str(zlib.crc32(text.encode()))})
-        for batch in heapq.merge(*batches, key=lambda b: int(b.log_time[0])):
-            writer.add(batch)
+        writer.add(heapq.merge(*batches, key=lambda b: int(b.log_time[0])))
         writer.finish()
