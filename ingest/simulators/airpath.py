@@ -15,17 +15,16 @@ from ingest.errors import DynoscopeError, LogError, did_you_mean
 from ingest.log import Log
 from ingest.physics import AIR
 from ingest.simulators.cycles import load_cycle, resample_cycle
-from ingest.simulators.faults import Fault, FaultInputs, fault_inputs, fault_problems, truth_events
+from ingest.simulators.faults import Fault, fault_inputs, fault_problems, truth_events
 from ingest.simulators.parameters import RATE_HZ, Control, Plant, Sensors
 from ingest.simulators.signals import ECU, TRUTH, group
-from ingest.simulators.vehicle import Drive, Vehicle, drive
+from ingest.simulators.vehicle import Vehicle, drive
 
 __all__ = ["Fault", "simulate_airpath"]
 
 Array = NDArray[np.float64]
 T = TypeVar("T", Vehicle, Plant, Control, Sensors)
 
-SETTLE_S = 20.0  # simulated ahead of the log
 TRUTH_EVERY = 5  # samples: 10 Hz
 LAMBDA_MAX = 10.0  # where the sensor's range ends
 
@@ -75,6 +74,8 @@ def simulate_airpath(
         DynoscopeError: names, ranges or a cycle that cannot be used (all listed), or values with which the
             engine leaves its physical range.
     """
+    from ingest.simulators.closed_loop import NOISE, simulate  # loads the compiler
+
     speed = _checked_speed(cycle, faults, tolerance, seed, duration_s, noise, overrides)
     rng = {purpose: np.random.default_rng([seed, i]) for i, purpose in enumerate(STREAMS)}
     varied = _draw(VARIATION, overrides.get("variation", 1.0), rng["variation"])
@@ -83,8 +84,15 @@ def simulate_airpath(
 
     time = np.arange(len(speed)) / RATE_HZ
     trip = drive(speed, RATE_HZ, vehicle, plant.p_Amb / (AIR.R * plant.T_Amb), rng["driver"])
-    inputs = fault_inputs(faults, time, len(speed) / RATE_HZ, rng["faults"])
-    run = _run(trip, inputs, rng["sensors"], egr, plant, control, sensors)
+    run = simulate(
+        drive=np.column_stack([trip.n_Eng, trip.W_Fuel]),
+        noise=rng["sensors"].standard_normal((len(time), len(NOISE))),
+        faults=fault_inputs(faults, time, len(speed) / RATE_HZ, rng["faults"]),
+        egr_active=egr,
+        plant=plant,
+        control=control,
+        sensors=sensors,
+    )
     constant = {"p_Amb": plant.p_Amb, "T_Amb": plant.T_Amb, "theta_Thr": 100.0}
     run |= {key: np.full_like(time, value) for key, value in constant.items()}
     run |= {
@@ -135,8 +143,10 @@ def _checked_speed(
     for key, value in overrides.items():
         if key not in PARAMETERS:
             problems.append(f"unknown parameter {key!r}; {did_you_mean(key, PARAMETERS)}")
-        elif not math.isfinite(value):
-            problems.append(f"parameter {key} is {value}; expected a finite number like {PARAMETERS[key]:g}")
+        elif not _plausible(value, PARAMETERS[key]):
+            problems.append(
+                f"parameter {key} is {value:g}; expected 0, or 0.1 to 10 times {PARAMETERS[key]:g}"
+            )
     if duration_s is not None and not 1.0 <= duration_s < math.inf:
         problems.append(f"duration {duration_s:g} s; expected 1 s or more")
     else:
@@ -148,6 +158,11 @@ def _checked_speed(
     if problems:
         raise DynoscopeError("\n".join(problems))
     return speed
+
+
+def _plausible(value: float, default: float) -> bool:
+    """Whether unit and sign can be right: 20 is no temperature in K, 100 no pressure in Pa."""
+    return math.isfinite(value) and (value == 0.0 or default == 0.0 or 0.1 <= value / default <= 10.0)
 
 
 def _draw(spread: Mapping[str, float], scale: float, rng: np.random.Generator) -> dict[str, float]:
@@ -172,36 +187,3 @@ def _parameters(
 
 def _fill(kind: type[T], values: Mapping[str, float]) -> T:
     return kind(*(values[name] for name in kind._fields))
-
-
-def _run(
-    trip: Drive,
-    inputs: FaultInputs,
-    rng: np.random.Generator,
-    egr: bool,
-    plant: Plant,
-    control: Control,
-    sensors: Sensors,
-) -> dict[str, Array]:
-    """The plant's columns at the samples of the trip, after it has settled at the first of them."""
-    from ingest.simulators.plant import NOISE, simulate
-
-    ahead = ((round(SETTLE_S * RATE_HZ), 0), (0, 0))
-    white = rng.standard_normal((len(trip.v), len(NOISE)))
-    run = simulate(
-        drive=np.pad(np.column_stack([trip.n_Eng, trip.W_Fuel]), ahead, mode="edge"),
-        noise=np.pad(white, ahead),
-        faults=FaultInputs(*(np.pad(a, ahead, mode="edge") for a in inputs)),
-        egr_active=egr,
-        plant=plant,
-        control=control,
-        sensors=sensors,
-    )
-    run = {key: values[ahead[0][0] :] for key, values in run.items()}
-    lost = ~np.isfinite(run["p_Int"] + run["T_Exh"])
-    if lost.any():
-        raise DynoscopeError(
-            f"the simulated engine leaves its physical range at {np.argmax(lost) / RATE_HZ:g} s; "
-            "bring the overridden parameters nearer to their defaults"
-        )
-    return run

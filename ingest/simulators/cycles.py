@@ -13,14 +13,8 @@ from ingest.errors import LogError, did_you_mean
 
 __all__ = ["CYCLES", "load_cycle", "resample_cycle"]
 
-CYCLES = {
-    "ftp75": "ftp75.csv",
-    "hwfet": "hwfet.csv",
-    "nedc": "nedc.txt",
-    "udds": "udds.csv",
-    "us06": "us06.csv",
-    "wltc_3b": "wltc_3b.csv",
-}
+CYCLES = ("ftp75", "hwfet", "nedc", "udds", "us06", "wltc_3b")
+HOT_START_S = 505  # FTP-75 ends as it began, 40 CFR 1066.815
 _TIME = ("time", "t", "time_s", "cycsecs")
 _SPEED = {"cycmps": 1.0, "speed_mps": 1.0, "v_veh": 1 / 3.6, "speed_kmh": 1 / 3.6, "speed_mph": 0.44704}
 
@@ -34,15 +28,17 @@ def load_cycle(cycle: str | Path) -> tuple[NDArray[np.float64], NDArray[np.float
     Raises:
         LogError: no such cycle or file, a column is missing, or times that do not rise, or a negative speed.
     """
+    if str(cycle) == "ftp75":  # the soak between its two parts is left out
+        udds = load_cycle("udds")[1]
+        speed = np.concatenate([udds, udds[1 : HOT_START_S + 1]])
+        return np.arange(len(speed), dtype=np.float64), speed
+    folder = files("ingest") / "cycles"
+    if str(cycle) == "nedc":
+        speed = np.array((folder / "nedc.txt").read_text().split(), dtype=np.float64) / 3.6
+        return np.arange(len(speed), dtype=np.float64), speed
     if str(cycle) in CYCLES:
-        text = (files("ingest") / "cycles" / CYCLES[str(cycle)]).read_text(encoding="utf-8-sig")
-        if str(cycle) == "nedc":
-            speed = np.array(text.split(), dtype=np.float64) / 3.6
-            return np.arange(len(speed), dtype=np.float64), speed
-        frame = pl.read_csv(text.encode())
-    else:
-        frame = _read_csv(Path(cycle))
-    return _columns(frame, str(cycle))
+        return _columns(pl.read_csv((folder / f"{cycle}.csv").read_bytes()), str(cycle))
+    return _columns(_read_csv(Path(cycle)), str(cycle))
 
 
 def _read_csv(path: Path) -> pl.DataFrame:

@@ -111,8 +111,8 @@ def fault_problems(faults: Sequence[Fault], duration_s: float) -> Iterator[str]:
             yield f"fault {fault.name}: magnitude {fault.magnitude:g}; expected {low:g} … {high:g} [{unit}]"
         if fault.name in _ON_SIGNAL and fault.signal not in SENSORS:
             yield f"fault {fault.name}: signal {fault.signal!r}; {did_you_mean(str(fault.signal), SENSORS)}"
-        if fault.name not in _ON_SIGNAL and fault.signal not in (None, fault.channel):
-            yield f"fault {fault.name} has no signal of its own, got {fault.signal!r}; leave it out"
+        if fault.name not in _ON_SIGNAL and fault.signal not in (None, _GAINS.get(fault.name)):
+            yield f"fault {fault.name}: signal {fault.signal!r} is not part of it; leave it out"
         onset = fault.starts(duration_s)
         if not 0.0 <= onset < duration_s:
             yield f"fault {fault.name}: onset {onset:g} s; expected within the log, 0 … {duration_s:g} s"

@@ -76,8 +76,10 @@ class Control(NamedTuple):
     ff_load: float = -0.2
     ff_max: float = 0.85
     floor: float = 0.5  # least vane position over feed-forward
+    trim_max: float = 0.2  # most of it above feed-forward: a dead boost sensor must not burst the engine
     lambda_smoke: float = 1.3
     x_Egr_max: float = 0.33
+    load_Egr: float = 0.42  # no recirculation above it, all 0.2 below
     Kp_Egr: float = 0.6
     Ki_Egr: float = 1.5
     dp_Egr_shut: float = 8e3  # the valve stays shut while boost exceeds its set-point by more

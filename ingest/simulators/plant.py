@@ -1,9 +1,9 @@
 """The diesel air path with its sensors and its control unit, compiled.
 
-Gas path (5.4)-(5.31) with the corrections stated at each line, integrated by RK4 in steps of 2 ms between the
-50 Hz samples at which sensors are read and the control unit acts. The control unit sees what the sensors say,
-so a sensor fault acts back on the engine. The first use in an installation compiles (some seconds) and leaves
-the result in numba's cache.
+Gas path (5.4)-(5.31) with the corrections stated at each line, integrated by RK4 in steps of 1.7 ms between
+the 50 Hz samples at which sensors are read and the control unit acts. The control unit sees what the sensors
+say, so a sensor fault acts back on the engine. The first use in an installation compiles (some seconds) and
+leaves the result in numba's cache.
 
 All compiled functions are in this file, as numba's cache does not notice a change in another one.
 """
@@ -22,22 +22,9 @@ from ingest.physics import AIR, EXHAUST, O2_AIR, O2_PER_FUEL, critical_ratio, fl
 from ingest.simulators.faults import FaultInputs
 from ingest.simulators.parameters import Q_LHV, RATE_HZ, Control, Plant, Sensors
 
-__all__ = ["COLUMNS", "NOISE", "simulate"]
+__all__ = ["run"]
 
 Array = NDArray[np.float64]
-
-STATES = ("p_Bst", "m_Bst", "p_Int", "m_Air", "m_Egr", "m_O2", "m_Exh", "w_Turb", "T_Exh")
-FLOWS = ("W_Comp", "W_Thr", "W_Cyl", "W_LeakBst", "W_LeakInt", "W_Egr", "W_Turb")
-SENSED = ("W_HFM", "p_Bst", "p_Int", "T_Int")  # the order of faults.SENSORS
-NOISE = (*SENSED, "p_Bst.adc", "p_Int.adc", "p_Exh")  # columns of unit white noise that the kernel takes
-COLUMNS = (
-    *(f"read.{s}" for s in SENSED),
-    *(f"healthy.{s}" for s in SENSED),
-    *("read.p_Exh", "read.T_Bst", "read.1/lambda"),
-    *("n_Eng", "W_Fuel", "u_Vnt", "u_Egr", "x_Egr"),  # x_Egr: true position of the EGR valve, 0..1
-    *FLOWS,
-    *STATES,
-)
 
 R_A, CP_A, CV_A, K_A = AIR.R, AIR.c_p, AIR.c_v, AIR.kappa
 R_E, CP_E, CV_E, K_E = EXHAUST.R, EXHAUST.c_p, EXHAUST.c_v, EXHAUST.kappa
@@ -96,65 +83,77 @@ def _turbine(w: float, area: float, p_up: float, T_up: float, p_dn: float, P: Pl
 
 
 @_compile
-def _derivatives(x: Array, u: Array, P: Plant, S: Sensors, dx: Array, flows: Array) -> None:
-    """Time derivatives ``dx`` of the states and lags ``x`` and the ``flows`` for inputs ``u``."""
-    p_Bst, m_Bst, p_Int, m_Air, m_Egr = x[0], x[1], x[2], x[3], x[4]
-    m_O2, m_Exh, w, T_Exh = x[5], x[6], x[7], x[8]
-    n, W_Fuel, A_Vnt, A_Egr, A_LeakBst, A_LeakInt = u[0], u[1], u[2], u[3], u[4], u[5]
+def _flows(x: Array, u: Array, P: Plant, f: Array) -> None:
+    """All that follows algebraically from states ``x`` and inputs ``u``: flows, temperatures, powers."""
+    p_Bst, m_Bst, p_Int, m_Air, m_Egr, m_Exh, w, T_Exh = x[0], x[1], x[2], x[3], x[4], x[6], x[7], x[8]
+    n, W_Fuel, A_Vnt, x_Egr, A_LeakBst, A_LeakInt = u[0], u[1], u[2], u[3], u[4], u[5]
     m_Int = m_Air + m_Egr
-    egr, rO2 = m_Egr / m_Int, m_O2 / m_Int
-    R_I, cv_I = R_A + egr * (R_E - R_A), CV_A + egr * (CV_E - CV_A)  # (5.16)
-    T_Bst, T_Int = p_Bst * P.V_Bst / (m_Bst * R_A), p_Int * P.V_Int / (m_Int * R_I)  # (5.14)
+    R_Int = R_A + m_Egr / m_Int * (R_E - R_A)  # (5.16)
+    T_Bst, T_Int = p_Bst * P.V_Bst / (m_Bst * R_A), p_Int * P.V_Int / (m_Int * R_Int)  # (5.14)
     p_Exh = m_Exh * R_E * T_Exh / P.V_Exh  # (5.20)
 
     f_vol = P.c_v0 + n * (P.c_v1 + n * P.c_v2)
     f_vol *= (P.r_c - (p_Exh / p_Int) ** (1.0 / K_E)) / (P.r_c - 1.0)
-    W_Cyl = f_vol * n / 120.0 * P.V_eng * p_Int / (R_I * T_Int)  # (5.17)
-    T_Egr = T_Exh - P.eta_EgrCooler * (T_Exh - P.T_coolant)  # a cooler, not (5.13)
-    W_Egr = _orifice(A_Egr, p_Exh, T_Exh, p_Int, T_Int, False, P.Pi_lin_Egr)  # (5.12)
+    W_Cyl = f_vol * n / 120.0 * P.V_eng * p_Int / (R_Int * T_Int)  # (5.17)
+    W_Egr = _orifice(P.A_Egr * x_Egr, p_Exh, T_Exh, p_Int, T_Int, False, P.Pi_lin_Egr)  # (5.12)
     eps = max(P.cac_0 - P.cac_1 * max(W_Cyl - W_Egr, 0.0), 0.2)
     T_Cac = T_Bst - eps * (T_Bst - P.T_Amb)
     W_Thr = _orifice(P.A_Thr, p_Bst, T_Cac, p_Int, T_Int, True, P.Pi_lin_Thr)  # (5.6), cooled
-    W_LeakBst = _orifice(A_LeakBst, p_Bst, T_Bst, P.p_Amb, P.T_Amb, True, 0.99)  # (5.26), own pressure
+    W_LeakBst = _orifice(A_LeakBst, p_Bst, T_Bst, P.p_Amb, P.T_Amb, True, 0.99)  # (5.26), its own pressure
     W_LeakInt = _orifice(A_LeakInt, p_Int, T_Int, P.p_Amb, P.T_Amb, True, 0.99)  # (5.31)
-    p_01 = P.p_Amb - P.k_filter * max(W_Thr + W_LeakBst, 0.0) ** 2  # the flow behind: no algebraic loop
-    W_Comp, T_Comp, P_Comp = _compressor(w, p_Bst, p_01, P)
-    W_Exh = W_Cyl + W_Fuel  # (5.18)
-    p_Post = P.p_Amb + P.k_exhaust * max(W_Exh - W_Egr, 0.0) ** 2
-    W_Turb, P_Turb = _turbine(w, A_Vnt, p_Exh, T_Exh, p_Post, P)
+    # pressure losses of filter and exhaust from the flow on the other side: no algebraic loop
+    p_Filter = P.p_Amb - P.k_filter * max(W_Thr + W_LeakBst, 0.0) ** 2
+    p_Post = P.p_Amb + P.k_exhaust * max(W_Cyl + W_Fuel - W_Egr, 0.0) ** 2
+    W_Comp, T_Comp, P_Comp = _compressor(w, p_Bst, p_Filter, P)
+    W_Turb, P_Turb = _turbine(w, A_Vnt, p_Exh, T_Exh, p_Post, P)  # (5.22)
 
-    # boost manifold (5.4), (5.24), (5.25): what leaves carries T_Bst, a leak inwards T_Amb
-    thr, thr_back, in_Leak = max(W_Thr, 0.0), max(-W_Thr, 0.0), max(-W_LeakBst, 0.0)
+    f[0], f[1], f[2], f[3], f[4], f[5], f[6] = W_Comp, W_Thr, W_Cyl, W_LeakBst, W_LeakInt, W_Egr, W_Turb
+    f[7], f[8], f[9], f[10], f[11], f[12] = T_Bst, T_Int, T_Cac, T_Comp, P_Comp, P_Turb
+
+
+@_compile
+def _derivatives(x: Array, u: Array, P: Plant, S: Sensors, dx: Array, f: Array) -> None:
+    """Time derivatives ``dx`` of states and sensor lags ``x``; ``f`` as left by ``_flows``."""
+    _flows(x, u, P, f)
+    W_Comp, W_Thr, W_Cyl, W_LeakBst, W_LeakInt, W_Egr, W_Turb = f[0], f[1], f[2], f[3], f[4], f[5], f[6]
+    T_Bst, T_Int, T_Cac, T_Comp, P_Comp, P_Turb = f[7], f[8], f[9], f[10], f[11], f[12]
+    n, W_Fuel, w, T_Exh = u[0], u[1], x[7], x[8]
+    m_Int = x[3] + x[4]
+    egr, rO2 = x[4] / m_Int, x[5] / m_Int  # (5.15)
+    R_Int, cv_Int = R_A + egr * (R_E - R_A), CV_A + egr * (CV_E - CV_A)
+    p_Exh = x[6] * R_E * T_Exh / P.V_Exh
+
+    # boost manifold (5.24), (5.25): what leaves carries T_Bst, what leaks in T_Amb
+    thr, thr_back, inwards = max(W_Thr, 0.0), max(-W_Thr, 0.0), max(-W_LeakBst, 0.0)
     out = thr + max(W_LeakBst, 0.0)
-    heat = W_Comp * T_Comp + in_Leak * P.T_Amb + thr_back * T_Int - out * T_Bst
+    heat = W_Comp * T_Comp + inwards * P.T_Amb + thr_back * T_Int - out * T_Bst
     dx[0] = R_A / (P.V_Bst * CV_A) * CP_A * heat
-    dx[1] = W_Comp + in_Leak + thr_back - out
-    # intake manifold (5.8)-(5.11), (5.27)-(5.30): leaks both ways, everything that leaves is the mixture
-    in_Leak, in_Egr = max(-W_LeakInt, 0.0), max(W_Egr, 0.0)
+    dx[1] = W_Comp + inwards + thr_back - out
+    # intake manifold (5.27)-(5.30): leaks both ways, all that leaves is the mixture; EGR cooler for (5.13)
+    T_Egr = T_Exh - P.eta_EgrCooler * (T_Exh - P.T_coolant)
+    inwards, egr_in = max(-W_LeakInt, 0.0), max(W_Egr, 0.0)
     out = W_Cyl + max(W_LeakInt, 0.0) + max(-W_Egr, 0.0) + thr_back
-    heat = CP_A * (thr * T_Cac + in_Leak * P.T_Amb) + CP_E * in_Egr * T_Egr - (cv_I + R_I) * out * T_Int
+    heat = CP_A * (thr * T_Cac + inwards * P.T_Amb) + CP_E * egr_in * T_Egr - (cv_Int + R_Int) * out * T_Int
     fuel_air = W_Fuel * O2_PER_FUEL / (W_Cyl * rO2)  # 1/lambda
-    rO2_Exh = max(W_Cyl * rO2 * (1.0 - fuel_air), 0.0) / W_Exh
-    dx[2] = R_I / (P.V_Int * cv_I) * heat
-    dx[3] = thr + in_Leak - (1.0 - egr) * out
-    dx[4] = in_Egr - egr * out
-    dx[5] = O2_AIR * (thr + in_Leak) + rO2_Exh * in_Egr - rO2 * out
-    # exhaust manifold (5.19), (5.21) and turbocharger
+    rO2_Exh = max(W_Cyl * rO2 * (1.0 - fuel_air), 0.0) / (W_Cyl + W_Fuel)
+    dx[2] = R_Int / (P.V_Int * cv_Int) * heat
+    dx[3] = thr + inwards - (1.0 - egr) * out
+    dx[4] = egr_in - egr * out
+    dx[5] = O2_AIR * (thr + inwards) + rO2_Exh * egr_in - rO2 * out
+    # exhaust manifold (5.18), (5.19), (5.21) and turbocharger
     f_comb = P.f_comb_0 + P.f_comb_lambda * (1.0 - fuel_air) + P.f_comb_n * (n - 2000.0) / 2000.0
-    dx[6] = W_Exh - W_Turb - W_Egr
+    dx[6] = W_Cyl + W_Fuel - W_Turb - W_Egr
     dx[7] = (P_Turb * P.eta_mech - P_Comp - P.damping * w * w) / (P.J_turb * w)
-    dx[8] = (T_Int + f_comb * W_Fuel * Q_LHV / (CP_E * W_Exh) - T_Exh) / P.tau_Exh
+    dx[8] = (T_Int + f_comb * W_Fuel * Q_LHV / (CP_E * (W_Cyl + W_Fuel)) - T_Exh) / P.tau_Exh
     # sensors, first order (5.32), (5.34), (5.35)
-    dx[9], dx[10], dx[11] = (p_Bst - x[9]) / S.tau_p, (p_Int - x[10]) / S.tau_p, (p_Exh - x[11]) / S.tau_p
+    dx[9], dx[10], dx[11] = (x[0] - x[9]) / S.tau_p, (x[2] - x[10]) / S.tau_p, (p_Exh - x[11]) / S.tau_p
     dx[12], dx[13] = (T_Bst - x[12]) / S.tau_T, (T_Int - x[13]) / S.tau_T
     dx[14], dx[15] = (W_Comp - x[14]) / S.tau_HFM, (fuel_air - x[15]) / S.tau_lambda
-    flows[0], flows[1], flows[2], flows[3] = W_Comp, W_Thr, W_Cyl, W_LeakBst
-    flows[4], flows[5], flows[6] = W_LeakInt, W_Egr, W_Turb
 
 
 @_compile
 def _advance(
-    x: Array, u_0: Array, u_1: Array, steps: int, P: Plant, S: Sensors, K: Array, u: Array, flows: Array
+    x: Array, u_0: Array, u_1: Array, steps: int, P: Plant, S: Sensors, K: Array, u: Array, f: Array
 ) -> None:
     """RK4 over one sample in ``steps`` steps; inputs go straight from ``u_0`` to ``u_1``. ``K``: work."""
     h = 1.0 / (RATE_HZ * steps)
@@ -165,9 +164,15 @@ def _advance(
                 u[j] = u_0[j] + (i + c) / steps * (u_1[j] - u_0[j])
             for j in range(x.size):
                 K[4, j] = x[j] if stage == 0 else x[j] + c * h * K[stage - 1, j]
-            _derivatives(K[4], u, P, S, K[stage], flows)
+            _derivatives(K[4], u, P, S, K[stage], f)
         for j in range(x.size):
             x[j] += h / 6.0 * (K[0, j] + 2.0 * K[1, j] + 2.0 * K[2, j] + K[3, j])
+
+
+@_compile
+def _ramp(x: float, low: float, high: float) -> float:
+    """0 up to ``low``, 1 from ``high`` on."""
+    return min(max((x - low) / (high - low), 0.0), 1.0)
 
 
 @_compile
@@ -181,24 +186,22 @@ def _control(
     """
     c[3] += alpha * (read[0] - c[3])
     load = min(demand * 30.0 / (n * C.m_Fuel_max), 1.0)
-    boost = (
-        C.boost_max
-        * min(load / C.load_boost, 1.0)
-        * min(max((n - C.n_boost_0) / (C.n_boost_1 - C.n_boost_0), 0.0), 1.0)
-    )
+    boost = C.boost_max * _ramp(load, 0.0, C.load_boost) * _ramp(n, C.n_boost_0, C.n_boost_1)
     c[0] += (1.0 - exp(-1.0 / (RATE_HZ * C.tau_set))) * (P.p_Amb + boost - c[0])
     ff = min(max(C.ff_0 + C.ff_n * n + C.ff_load * load, 0.0), C.ff_max)
     error = c[0] - read[1]
     vnt = ff + C.Kp_boost * error + c[1]
-    if C.floor * ff < vnt < 1.0 or error * (vnt - ff) < 0.0:  # do not wind up against a stop
+    low, high = C.floor * ff, min(ff + C.trim_max, 1.0)
+    if low < vnt < high or error * (vnt - ff) < 0.0:  # do not wind up against a stop
         c[1] += C.Ki_boost * error / RATE_HZ
-    vnt = min(max(vnt, C.floor * ff), 1.0)
+    vnt = min(max(vnt, low), high)
 
     egr = 0.0
-    wanted = C.x_Egr_max * min(max((n - 900.0) / 300.0, 0.0), 1.0) * min(max((0.6 - load) / 0.3, 0.0), 1.0)
+    wanted = C.x_Egr_max * _ramp(n, 900.0, 1200.0) * _ramp(C.load_Egr - load, 0.0, 0.2)
     decaying = read[1] - c[0] > C.dp_Egr_shut  # boost above its set-point would flow backwards
     if egr_active and wanted > 0.0 and demand > 0.0 and not decaying:
-        W_Cyl = (P.c_v0 + n * (P.c_v1 + n * P.c_v2)) * n / 120.0 * P.V_eng * read[2] / (R_A * read[3])
+        density = max(read[2], 1e4) / (R_A * max(read[3], 200.0))  # a dead sensor must not stop the valve
+        W_Cyl = (P.c_v0 + n * (P.c_v1 + n * P.c_v2)) * n / 120.0 * P.V_eng * density
         error = wanted - (1.0 - c[3] / W_Cyl)
         c[2] = min(max(c[2] + C.Ki_Egr * error / RATE_HZ, 0.0), 1.0)
         egr = min(max(c[2] + C.Kp_Egr * error, 0.0), 1.0)
@@ -239,15 +242,15 @@ def _sense(
 def _inputs(
     u: Array, n: float, fuel: float, vnt: float, valve: float, k: int, F: FaultInputs, P: Plant
 ) -> None:
-    """Plant inputs ``u`` at sample k: speed, fuel, effective areas of vanes, EGR valve and leaks."""
+    """Plant inputs ``u`` at sample k: speed, fuel, vane area, position of the EGR valve, leak areas."""
     u[0], u[1] = n, fuel
     u[2] = P.A_Vnt_min + (1.0 - vnt) * (P.A_Vnt_max - P.A_Vnt_min)
-    u[3] = P.A_Egr * (valve + F.egr[k, 0] * (F.egr[k, 1] - valve))
+    u[3] = valve + F.egr[k, 0] * (F.egr[k, 1] - valve)
     u[4], u[5] = P.Cd_leak * F.leak[k, 0], P.Cd_leak * F.leak[k, 1]
 
 
 @_compile
-def _run(
+def run(
     drive: Array,
     noise: Array,
     F: FaultInputs,
@@ -260,7 +263,7 @@ def _run(
     out: Array,
 ) -> None:
     """Drives the plant from state ``x`` through all samples and fills ``out``, one row of COLUMNS each."""
-    K, u, u_0, u_1, flows = np.zeros((5, x.size)), np.zeros(6), np.zeros(6), np.zeros(6), np.zeros(7)
+    K, u, u_0, u_1, f = np.zeros((5, x.size)), np.zeros(6), np.zeros(6), np.zeros(6), np.zeros(13)
     held, filtered, y = np.zeros(4), np.empty((2, 2)), np.zeros((2, 4))
     filtered[:, 0], filtered[:, 1] = x[9], x[10]
     c = np.array([P.p_Amb, 0.0, 0.0, x[14]])
@@ -271,45 +274,16 @@ def _run(
         alpha = 1.0 - exp(-n / (RATE_HZ * S.lpf))
         _sense(k, x, alpha, noise, F, S, held, filtered, y)
         p_Exh += alpha * (x[11] + S.sd_p * noise[k, 6] - p_Exh)
-        _derivatives(x, u_0, P, S, K[0], flows)
+        _derivatives(x, u_0, P, S, K[0], f)
         out[k, 0:4], out[k, 4:8] = y[0], y[1]
         out[k, 8], out[k, 9], out[k, 10] = p_Exh, x[12], x[15]
-        out[k, 11], out[k, 12], out[k, 13], out[k, 14], out[k, 15] = n, u_0[1], vnt, valve, u_0[3] / P.A_Egr
-        out[k, 16:23], out[k, 23:32] = flows, x[:9]
+        out[k, 11], out[k, 12], out[k, 13], out[k, 14], out[k, 15] = n, u_0[1], vnt, valve, u_0[3]
+        out[k, 16:23], out[k, 23:32] = f[:7], x[:9]
         if k + 1 < drive.shape[0]:
             command, opening, limit = _control(c, n, drive[k, 1], y[0], alpha, egr_active, P, C)
             vnt += (1.0 - exp(-1.0 / (RATE_HZ * C.tau_Vnt))) * (command - vnt)
             valve += (1.0 - exp(-1.0 / (RATE_HZ * C.tau_Egr))) * (opening - valve)
             valve = 0.0 if valve < 1e-6 else valve  # shut, not forever nearly so
             _inputs(u_1, drive[k + 1, 0], min(drive[k + 1, 1], limit), vnt, valve, k + 1, F, P)
-            _advance(x, u_0, u_1, steps, P, S, K, u, flows)
+            _advance(x, u_0, u_1, steps, P, S, K, u, f)
             u_0[:] = u_1
-
-
-def simulate(
-    *,
-    drive: Array,
-    noise: Array,
-    faults: FaultInputs,
-    egr_active: bool,
-    plant: Plant,
-    control: Control,
-    sensors: Sensors,
-    steps: int = 10,
-) -> dict[str, Array]:
-    """Everything about the run at 50 Hz by the names of COLUMNS, SI units (speeds of the engine in rpm).
-
-    ``drive`` (n, 2): engine speed and demanded fuel; ``noise`` (n, 7): unit white noise, columns NOISE;
-    ``steps`` RK4 steps per sample. The engine starts idling; let it settle before what matters.
-    """
-    out = np.empty((len(drive), len(COLUMNS)))
-    _run(drive, noise, faults, egr_active, steps, _idle(plant), plant, control, sensors, out)
-    return dict(zip(COLUMNS, out.T, strict=True))
-
-
-def _idle(P: Plant) -> Array:
-    """States and lags near idle: all at ambient pressure, turbocharger turning slowly."""
-    p, T, T_Exh, w, W = P.p_Amb, P.T_Amb, P.T_Amb + 150.0, 3000.0, 0.013
-    m_Bst, m_Int = p * P.V_Bst / (R_A * T), p * P.V_Int / (R_A * T)
-    states = (p, m_Bst, p, m_Int, 0.0, O2_AIR * m_Int, p * P.V_Exh / (R_E * T_Exh), w, T_Exh)
-    return np.array([*states, p, p, p, T, T, W, 0.2])

@@ -34,6 +34,7 @@ class Vehicle(NamedTuple):
     n_launch: float = 1150.0  # rpm, while the clutch slips
     n_shift: float = 1900.0  # rpm, above which the next gear is used without load
     n_shift_load: float = 1700.0  # rpm on top of it at full power
+    n_hold: float = 0.8  # share of that limit below which the lower gear is taken
     P_max: float = 1.1e5  # W
     P_aux: float = 600.0  # W
     eta_willans: float = 0.44
@@ -87,17 +88,19 @@ def _follow(speed: Array, rate_hz: float, vehicle: Vehicle, rng: np.random.Gener
 def _gears(v: Array, P_brake: Array, rate_hz: float, vehicle: Vehicle) -> tuple[Array, NDArray[np.bool_]]:
     """Engine rpm per m/s of the gear in use and whether a shift is under way, both of shape (n,).
 
-    The wanted gear is the lowest one below an engine speed that rises with power; it is looked up twice a
-    second and followed one step at a time, not more often than once a second.
+    Twice a second: up where the engine turns faster than a limit that rises with power, down where it would
+    stay well below that limit; one step at a time, not more often than once a second.
     """
     gears = np.array([getattr(vehicle, f"gear_{i}") for i in range(1, 7)])
     ratios = gears * vehicle.final_drive / vehicle.wheel_radius * 30.0 / np.pi
     step = max(1, round(rate_hz / 2))
     power = np.clip(_smooth(P_brake, 2.0, rate_hz)[::step] / vehicle.P_max, 0.0, 1.0)
     n_up = vehicle.n_shift + vehicle.n_shift_load * power
-    wanted = np.minimum((v[::step, None] * ratios > n_up[:, None]).sum(axis=1), len(ratios) - 1)
-    used, gear, last = np.empty_like(wanted), int(wanted[0]), -2
-    for i, target in enumerate(wanted.tolist()):
+    up = (v[::step, None] * ratios[:-1] > n_up[:, None]).sum(axis=1)
+    down = (v[::step, None] * ratios[:-1] > vehicle.n_hold * n_up[:, None]).sum(axis=1)
+    used, gear, last = np.empty_like(up), int(up[0]), -2
+    for i, (low, high) in enumerate(zip(up.tolist(), down.tolist(), strict=True)):
+        target = min(max(gear, low), high)
         if target != gear and i - last >= 2:
             gear, last = gear + (1 if target > gear else -1), i
         used[i] = gear
