@@ -24,7 +24,7 @@ class Plant(NamedTuple):
     V_Exh: float = 2.5e-3
     A_Thr: float = 7.0e-4  # effective, wide open, including the charge air cooler
     Pi_lin_Thr: float = 0.99
-    A_Egr: float = 2.4e-4  # effective, valve open
+    A_Egr: float = 2.9e-4  # effective, valve open
     Pi_lin_Egr: float = 0.96
     Cd_leak: float = 0.65
     c_v0: float = 0.800  # volumetric efficiency c_v0 + c_v1 n + c_v2 n^2
@@ -78,7 +78,7 @@ class Control(NamedTuple):
     floor: float = 0.5  # least vane position over feed-forward
     trim_max: float = 0.2  # most of it above feed-forward: a dead boost sensor must not burst the engine
     lambda_smoke: float = 1.3
-    x_Egr_max: float = 0.33
+    x_Egr_max: float = 0.30
     load_Egr: float = 0.42  # no recirculation above it, all 0.2 below
     Kp_Egr: float = 0.6
     Ki_Egr: float = 1.5
