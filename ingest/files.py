@@ -15,6 +15,8 @@ from pathlib import Path
 from typing import cast
 from urllib.parse import unquote, urlsplit
 
+import polars as pl
+
 from ingest.errors import LogError, did_you_mean
 from ingest.log import Log
 from ingest.maps import NameMap, apply_map, load_map
@@ -63,11 +65,12 @@ def write_log(log: Log, path: str | Path) -> Path:
     name. CSV keeps all but the types and the separate rasters.
 
     Raises:
-        LogError: no such format, or the file cannot be written.
+        LogError: no such format, a type or fact that a log cannot hold, or the file cannot be written.
     """
     path = Path(path)
     if path.suffix.lower() not in WRITERS:
         raise LogError(f"{path}: cannot write {path.suffix!r} files; {did_you_mean(path.suffix, WRITERS)}")
+    _check_types(log)
     writer = cast(Writer, reader(WRITERS[path.suffix.lower()]))
     aside = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
@@ -120,6 +123,15 @@ def sha256(path: Path) -> str:
     """Digest of a file's content."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _check_types(log: Log) -> None:
+    for group in log.groups.values():
+        for name, dtype in group.frame.schema.items():
+            if not (dtype.is_integer() or dtype in (pl.Float32, pl.Float64, pl.Boolean, pl.String)):
+                raise LogError(f"log {log.name!r}: {name!r} is {dtype}; expected numbers, Boolean or String")
+            if "\0" in name:
+                raise LogError(f"log {log.name!r}: {name!r} cannot be written: a zero character in a name")
 
 
 def _names(map: NameMap | str | Path | None) -> NameMap:

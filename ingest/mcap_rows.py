@@ -47,7 +47,8 @@ def field_type(values: pl.Series) -> str:
         return "string"
     if values.dtype in (pl.Float32, pl.Int8, pl.Int16, pl.UInt8, pl.UInt16, pl.Boolean):
         return "float"
-    if values.dtype in (pl.Int64, pl.UInt64) and not values.is_between(-_EXACT, _EXACT).all():
+    ends = [e for e in (values.min(), values.max()) if isinstance(e, int)]
+    if any(abs(e) > _EXACT for e in ends):
         return "int64" if values.dtype == pl.Int64 else "uint64"
     return "double"
 

@@ -116,7 +116,7 @@ def find_unit(text: str) -> Unit | None:
     plain = re.sub(r"[−–]", "-", plain).replace("μ", "u").replace("Ω", "Ohm")
     plain = re.sub(r"[\s*·^]", "", plain.replace("°", "deg"))
     unit = _look_up(plain)
-    kind = re.fullmatch(r"(\w+?)[_(]?(abs|a|rel|gauge|g)\)?", plain)
+    kind = re.fullmatch(r"(\w+?)[_(]?(abs|a|rel|gauge|g)\)?", plain, re.IGNORECASE)
     if unit is None and kind and (bare := _look_up(kind[1])) and bare.dimension == "absolute pressure":
         return bare if kind[2][0] in "aA" else bare._replace(dimension="gauge pressure")
     return unit
