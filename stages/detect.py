@@ -4,13 +4,16 @@ For every residual e with spread sigma and every memory T the stage keeps, with 
 
     S0 = sum w / sigma^2,   S1 = sum w e / sigma^2,   w = min(dt, tau_c) / tau_c,
 
-so that ``m = S1 / S0`` is the remembered mean and ``1 / S0`` its variance for noise correlated over
-``tau_c``. Between healthy runs the mean scatters by ``offset``; what the relations are in doubt of
-(``model_sd``) does not average out either, so its remembered mean square ``S2 / S0`` counts whole: ``z = m /
-sqrt(1 / S0 + S2 / S0 + offset^2)``. The alarm statistic is the largest ``|z|`` over residuals and memories:
-short memories find large faults at once, long ones small faults. It must exceed the threshold for
-``confirm_s``; the alarm ends when it has stayed below 0.7 times the threshold for ``clear_s``. Every quantity
-at a row is made of data up to that row.
+so that ``m = S1 / S0`` is the remembered mean. With V, the same as S0 but forgotten twice as fast,
+``V / S0^2`` is its variance for noise correlated over ``tau_c``. Between healthy runs the mean scatters by
+``offset``; what the relations are in doubt of (``model_sd``) does not average out either, so its remembered
+mean square ``S2 / S0`` counts whole:
+
+    z = m / sqrt(V / S0^2 + S2 / S0 + offset^2).
+
+The alarm statistic is the largest ``|z|`` over residuals and memories: short memories find large faults at
+once, long ones small faults. It must exceed the threshold for ``confirm_s``; the alarm ends when it has
+stayed below 0.7 times the threshold for ``clear_s``. Every quantity at a row is made of data up to that row.
 
 While there is no alarm, ``mean.<r>`` and ``mean_sd.<r>`` are those of the memory with the largest ``|z|``;
 from the alarm on they are those of the episode, which starts from the shortest memory and forgets with the
@@ -40,8 +43,7 @@ MEAN, MEAN_SD = "mean.", "mean_sd."
 
 @dataclass(frozen=True, eq=False)
 class DetectState:
-    """Sums S0, S1, S2 per memory and residual, the episode's last, shape (3, T + 1, R); the alarm's clocks in
-    s."""
+    """Sums S0, S1, S2, V by memory (the episode last) and residual, shape (4, T + 1, R); the alarm's clocks."""
 
     time: float
     S: Array
@@ -95,7 +97,7 @@ class Detect:
         return {STATISTIC, DETECTION}
 
     def start(self) -> DetectState:
-        shape = (3, len(self.memories_s) + 1, len(self._learned("offset")))
+        shape = (4, len(self.memories_s) + 1, len(self._learned("offset")))
         return DetectState(np.nan, np.zeros(shape), np.zeros(3))
 
     def step(self, state: DetectState, block: Log, /) -> tuple[DetectState, Log]:
@@ -143,6 +145,12 @@ def _stack(block: Log, prefix: str, names: Sequence[str]) -> Array:
 
 
 @njit(cache=True)
+def _spread(S: Array, offset: float) -> float:  # pragma: no cover - compiled
+    """Standard deviation of a healthy remembered mean."""
+    return float(np.sqrt(S[3] / S[0] ** 2 + S[2] / S[0] + offset**2))
+
+
+@njit(cache=True)
 def _run(
     dt: Array, e: Array, sigma: Array, doubt: Array, memories: Array, offset: Array, threshold: float,
     times: Array, S: Array, clocks: Array,
@@ -157,15 +165,18 @@ def _run(
         share = min(dt[k], correlation) / correlation
         best = 0
         for i in range(len(memories)):
-            S[:, i] *= np.exp(-dt[k] / memories[i])
+            keep = np.exp(-dt[k] / memories[i])
+            S[:3, i] *= keep
+            S[3, i] *= keep**2
             for r in range(R):
                 if not np.isnan(e[k, r]):
                     weight = share / sigma[k, r] ** 2
                     S[0, i, r] += weight
                     S[1, i, r] += weight * e[k, r]
                     S[2, i, r] += weight * doubt[k, r] ** 2
+                    S[3, i, r] += weight
                 if i != episode and S[0, i, r] > 0:
-                    z = abs(S[1, i, r]) / S[0, i, r] / np.sqrt((1 + S[2, i, r]) / S[0, i, r] + offset[r] ** 2)
+                    z = abs(S[1, i, r]) / S[0, i, r] / _spread(S[:, i, r], offset[r])
                     if z > statistic[k]:
                         statistic[k], best = z, i
         if clocks[0] == 0:
@@ -181,6 +192,6 @@ def _run(
         for r in range(R):
             if S[0, i, r] > 0:
                 mean[k, r] = S[1, i, r] / S[0, i, r]
-                sd[k, r] = np.sqrt((1 + S[2, i, r]) / S[0, i, r] + offset[r] ** 2)
+                sd[k, r] = _spread(S[:, i, r], offset[r])
         detection[k] = np.int8(clocks[0])
     return statistic, detection, mean, sd

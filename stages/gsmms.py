@@ -185,7 +185,7 @@ def _fit_blended(nodes: Array, S: Array, y: Array, weight: Array) -> tuple[Array
             G += F.T @ (F * weight[rows, None])
             h += F.T @ (weight[rows] * target[rows])
         for shrink in (0.01, 0.1, 1.0, 10.0):
-            prior = np.concatenate([np.full(k, 1e-3), np.full(M * k, shrink)])
+            prior = np.concatenate([np.full(k, 1e-6), np.full(M * k, shrink)])
             L = np.linalg.cholesky(G + np.diag(prior))
             z = np.linalg.solve(L, h)
             cost = (

@@ -46,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
     paths: dict[str, list[Path]] = {}
     for role, patterns in (("training", args.logs), ("calibration", args.calibrate)):
         with problems:
-            paths[role] = find_logs(patterns)
+            paths[role] = find_logs(patterns) if patterns else []
     logs: dict[str, list[Log]] = {role: [] for role in paths}
     for role, files in paths.items():
         for path in files:
