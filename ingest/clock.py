@@ -64,16 +64,17 @@ def no_time(where: str, columns: Iterable[str], wanted: TimeMap) -> LogError:
 
 
 def to_seconds(where: str, values: pl.Series, unit: str | None, wanted: TimeMap) -> pl.Series:
-    """Time stamps as Float64 in s; the unit is the map's, the file's, the name's ending, else s.
+    """Time stamps as Float64 in s, missing ones NaN.
 
-    Dates count from the earliest of them.
+    The unit is the map's, the file's, the name's ending, else s. Dates count from the earliest of them.
 
     Raises:
         LogError: the unit is not one of time, or the values are neither numbers nor dates.
     """
     if isinstance(values.dtype, pl.Datetime | pl.Duration):
         ns = values.dt.cast_time_unit("ns").to_physical()
-        return (ns - (ns.min() if isinstance(values.dtype, pl.Datetime) else 0)) / 1e9
+        since = ns - (ns.min() or 0) if isinstance(values.dtype, pl.Datetime) else ns
+        return pl.Series(TIME, since.to_numpy() / 1e9)
     ending = _UNIT_ENDING.match(split_unit(values.name)[0])
     unit = wanted.unit or unit or (ending["unit"] if ending else "s")
     try:
@@ -83,8 +84,8 @@ def to_seconds(where: str, values: pl.Series, unit: str | None, wanted: TimeMap)
     if not values.dtype.is_numeric():
         example = values.drop_nulls().head(1).to_list()
         raise LogError(f"{where}: time column {values.name!r} holds {example}; expected numbers in {unit}")
-    time = values.cast(pl.Float64)
-    return time * scale if scale >= 1 else time / round(1 / scale)  # 300 ms is 0.3 s, to the last bit
+    time = values.cast(pl.Float64).to_numpy()
+    return pl.Series(TIME, time * scale if scale >= 1 else time / round(1 / scale))  # 300 ms is 0.3, exactly
 
 
 def with_time(
@@ -96,7 +97,7 @@ def with_time(
         LogError: see :func:`to_seconds`.
     """
     clock = frame[column]
-    time = to_seconds(where, clock, unit, wanted).alias(TIME)
+    time = to_seconds(where, clock, unit, wanted)
     timed = frame.drop(column).with_columns(time).filter(pl.col(TIME).is_finite())
     facts: dict[str, Any] = {}
     if isinstance(clock.dtype, pl.Datetime) and timed.height:

@@ -6,6 +6,7 @@ metadata say which rows are whose. To any other tool it is one table with each s
 
 from __future__ import annotations
 
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ from ingest.maps import NameMap
 from ingest.readers import Recording
 
 GROUP = "data"
-_KEY = b"dynoscope"
+_KEY, _CHECKSUM = b"dynoscope", b"dynoscope.crc32"
 
 
 def is_mine(path: Path, head: bytes) -> bool:
@@ -46,9 +47,12 @@ def read(path: Path, names: NameMap) -> Recording:
 def _read(path: Path, names: NameMap, *, rows: bool) -> Recording:
     try:
         with pq.ParquetFile(path, page_checksum_verification=True) as file:
-            text = (file.schema_arrow.metadata or {}).get(_KEY)
-            if text is None:
+            metadata = file.schema_arrow.metadata or {}
+            if _KEY not in metadata and _CHECKSUM not in metadata:
                 return Recording(_foreign(path, names, file, rows))
+            text = metadata.get(_KEY, b"")
+            if metadata.get(_CHECKSUM) != _checksum(file.schema_arrow, text):
+                raise LogError(f"{path}: damaged Parquet file: its description has a wrong checksum")
             return Recording(_ours(file, parse_about(str(path), text), rows), ours=True)
     except (pa.ArrowException, OSError) as error:
         raise LogError(f"{path}: damaged Parquet file: {str(error).splitlines()[0]}") from error
@@ -112,15 +116,20 @@ def _signals(schema: pa.Schema) -> dict[str, Signal]:
     return {name: Signal.from_metadata(name, known) for name, known in pairs.items()}
 
 
+def _checksum(schema: pa.Schema, text: bytes) -> bytes:
+    """Parquet guards its pages, but not the footer with names, units and our description."""
+    fields = [(f.name, str(f.type), sorted((f.metadata or {}).items())) for f in schema]
+    return str(zlib.crc32(repr((fields, text)).encode())).encode()
+
+
 def write(log: Log, path: Path) -> None:
     """One file with zstd compression and page checksums."""
     tables = [g.frame.to_arrow(compat_level=pl.CompatLevel.oldest()) for g in log.groups.values()]
     fields = {f.name: f for table in tables for f in table.schema}
     signals = {TIME: Signal(name=TIME, unit="s"), **log.signals}
-    schema = pa.schema(
-        [fields[n].with_metadata(s.to_metadata()) for n, s in signals.items() if n in fields],
-        metadata={_KEY: about_json(log, events=[e.to_json() for e in log.events]).encode()},
-    )
+    schema = pa.schema([fields[n].with_metadata(s.to_metadata()) for n, s in signals.items() if n in fields])
+    text = about_json(log, events=[e.to_json() for e in log.events]).encode()
+    schema = schema.with_metadata({_KEY: text, _CHECKSUM: _checksum(schema, text)})
     with pq.ParquetWriter(path, schema, compression="zstd", write_page_checksum=True) as writer:
         for table in tables:
             of_group = dict(zip(table.schema.names, table.columns, strict=True))
