@@ -109,7 +109,7 @@ def held(events: Sequence[Event], start: float, end: float) -> tuple[Array, list
 
     >>> a, b = (Event(t_start=t, t_end=t + 2.0, kind=k, source="truth") for t, k in ((1.0, "b"), (2.0, "a")))
     >>> held([a, b], 0.0, 9.0)[1]
-    ['', 'b', 'a+b', 'a', '']
+    ['', 'b', 'a+b', 'a', '', '']
     """
     least = MOMENT * (end - start)
     windows = [

@@ -25,8 +25,8 @@ def entity(*parts: str) -> str:
 
 
 def times(time: Array) -> list[rr.TimeColumn]:
-    """The time column of the one timeline, s since the log's clock was zero."""
-    return [rr.TimeColumn(TIMELINE, duration=time)]
+    """The time column of the one timeline, to the nearest ns (Rerun itself would cut the rest off)."""
+    return [rr.TimeColumn(TIMELINE, duration=np.round(time * 1e9).astype("timedelta64[ns]"))]
 
 
 def lines(

