@@ -8,6 +8,7 @@ dropped: it may be cut in the middle of a number.
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -31,12 +32,19 @@ MISSING = (
     "invalid",
 )  # fmt: skip
 """Cells that say "no value", in any case."""
+_UTF_16 = (b"\xff\xfe", b"\xfe\xff")
 _OWN = b"# dynoscope "
 
 
 def is_mine(path: Path, head: bytes) -> bool:
-    """Whether ``head`` looks like text: the format of last resort, which says what is amiss."""
-    return path.suffix.lower() in (".csv", ".tsv", ".txt") or (head != b"" and b"\0" not in head[:1024])
+    """Whether ``head`` is text: the format of last resort, which says what is amiss."""
+    if head[:2] in _UTF_16:
+        return True
+    try:
+        text = head.rstrip(b"\0").decode()
+    except UnicodeDecodeError as error:
+        text = head.rstrip(b"\0").decode("latin-1" if error.end < len(head) else "ascii", "ignore")
+    return not re.search(r"[\x00-\x08\x0e-\x1f\x7f-\x9f]", text)
 
 
 def header(path: Path, names: NameMap) -> Recording:
@@ -84,7 +92,7 @@ def _about(path: Path, data: bytes) -> tuple[dict[str, Any], bytes]:
 
 def _as_utf8(data: bytes) -> tuple[bytes, list[str]]:
     """Text as UTF-8 without byte order mark, and notes on what had to be done."""
-    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+    if data[:2] in _UTF_16:
         data = data[: len(data) // 2 * 2].decode("utf-16", "replace").encode()
     data = data.removeprefix(b"\xef\xbb\xbf")
     notes = []
