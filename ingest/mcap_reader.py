@@ -14,17 +14,17 @@ from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
 
-import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, ChunkIndex, Metadata, MetadataIndex, Schema, Statistics
 from mcap.stream_reader import get_chunk_data_stream
 from mcap.writer import MCAP0_MAGIC
+from zstandard import ZstdError
 
 _FOOTER = struct.Struct("<BQQQI")
 _RECORD = struct.Struct("<BQ")
-DAMAGE = (McapError, struct.error, ValueError, MemoryError, RuntimeError, zstandard.ZstdError)
+DAMAGE = (McapError, struct.error, ValueError, OverflowError, MemoryError, RuntimeError, ZstdError)
 """What parsing and unpacking raise on bytes that are not what they should be."""
 
 

@@ -164,11 +164,11 @@ def _log(path: Path, file: McapFile, parts: dict[int, list[Part]], names: NameMa
 def _about(path: Path, file: McapFile) -> dict[str, Any]:
     """What :func:`write` noted; empty if the file is not ours or the note is damaged."""
     for record in file.metadata:
-        if record.name == _ABOUT:
-            text = record.metadata.get("log", "")
-            if record.metadata.get("crc32") == str(zlib.crc32(text.encode())):
-                return parse_about(str(path), text)
-            file.problems.append("name and facts of the log are damaged")
+        text = record.metadata.get("log", "")
+        if record.name == _ABOUT and record.metadata.get("crc32") == str(zlib.crc32(text.encode())):
+            return parse_about(str(path), text)
+    if any(OWN in channel.metadata for channel in file.channels.values()):
+        file.problems.append("name and facts of the log are missing or damaged")
     return {}
 
 
