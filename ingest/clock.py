@@ -19,6 +19,7 @@ TIME_NAMES = (
 )  # fmt: skip
 """Names that mean time whatever their case, spaces and underscores; the first that is there counts."""
 
+_DATES = ("%Y-%m-%d", "%Y/%m/%d", "%d.%m.%Y")
 _BRACKETED = re.compile(r"^(?P<name>.*?\S)\s*(?:\[(?P<square>[^\[\]]*)\]|\((?P<round>[^()]*)\))$")
 _UNIT_ENDING = re.compile(r"^(?P<name>.+)[_ ](?P<unit>ns|us|ms|s|sec|min)$", re.IGNORECASE)
 
@@ -86,6 +87,24 @@ def to_seconds(where: str, values: pl.Series, unit: str | None, wanted: TimeMap)
         raise LogError(f"{where}: time column {values.name!r} holds {example}; expected numbers in {unit}")
     time = values.cast(pl.Float64).to_numpy()
     return pl.Series(TIME, time * scale if scale >= 1 else time / round(1 / scale))  # 300 ms is 0.3, exactly
+
+
+def parse_dates(text: pl.Series) -> pl.Series:
+    """Written dates as Datetime, times of the day as Duration; null where they are neither.
+
+    >>> parse_dates(pl.Series(["2024-05-01T12:00:00.5Z", None])).dt.to_string("%H:%M:%S%.3f").to_list()
+    ['12:00:00.500', None]
+    >>> to_seconds("x", parse_dates(pl.Series("t", ["00:01:00", "00:01:00,25"])), None, TimeMap()).to_list()
+    [60.0, 60.25]
+    """
+    plain = text.str.strip_suffix("Z").str.replace("T", " ", literal=True).str.replace(",", ".", literal=True)
+    day = pl.Series(text.name, [None] * len(text), dtype=pl.Datetime("ns"))
+    for form in _DATES:
+        day = day.fill_null(plain.str.to_datetime(f"{form} %H:%M:%S%.f", time_unit="ns", strict=False))
+    if day.null_count() < len(day):
+        return day
+    clock = ("1970-01-01 " + plain).str.to_datetime("%Y-%m-%d %H:%M:%S%.f", time_unit="ns", strict=False)
+    return clock.to_physical().cast(pl.Duration("ns")).alias(text.name)
 
 
 def with_time(

@@ -1,7 +1,7 @@
 """How a text table is written: what stands above the data, separator, decimal sign, names and units.
 
 Benches put lines about the test above the names, and a row of units (or more) below. The row of names is the
-one with a time column that is followed by a row of as many fields whose time is a number.
+one with a time column that is followed by a row of as many fields whose time is a number or a date.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from ingest.units import find_unit
 
 SEPARATORS = (";", "\t", ",", "|")
 _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?")
+_DATE = re.compile(r"(\d{1,4}[-./]\d{1,2}[-./]\d{1,4}[T ])?\d{1,2}:\d\d:\d\d([.,]\d+)?Z?")
 _COMMA_NUMBER = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
 _LOOK_AHEAD = 8  # rows between names and data: units, rasters, descriptions
 _SAMPLE = 200  # rows that decide about the decimal sign
@@ -87,7 +88,7 @@ def _find(text: Sequence[str], separator: str, time: TimeMap) -> tuple[str, int,
         for first, below in enumerate(text[at + 1 : at + 1 + _LOOK_AHEAD], at + 1):
             row = _split(below, separator)
             fits = len(row) == len(names) or (len(row) == len(names) + 1 and not row[-1])
-            if fits and _NUMBER.fullmatch(row[column]):
+            if fits and (_NUMBER.fullmatch(row[column]) or _DATE.fullmatch(row[column])):
                 return separator, at, first
     return None
 
@@ -105,7 +106,7 @@ def _not_found(where: str, text: Sequence[str], time: TimeMap) -> LogError:
         return no_time(where, names, time)
     return LogError(
         f"{where}: no samples: below the names {separator.join(names)[:60]!r} "
-        f"there is no row of {len(names)} fields whose time is a number"
+        f"there is no row of {len(names)} fields whose time is a number or a date"
     )
 
 

@@ -62,7 +62,7 @@ def write_log(log: Log, path: str | Path) -> Path:
     """Writes a log; the suffix picks the format. The file appears whole or not at all.
 
     MCAP and Parquet keep everything: values, types, signals, events, facts, the order of the groups, the
-    name. CSV keeps all but the types and the separate rasters.
+    name. CSV keeps all but the types.
 
     Raises:
         LogError: no such format, a type or fact that a log cannot hold, or the file cannot be written.

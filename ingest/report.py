@@ -15,7 +15,7 @@ GAP = 10.0  # a step longer than this many median steps is a gap
 _LISTED = 20  # of each kind, so that a report stays readable
 
 
-def clock_quality(time: NDArray[np.float64]) -> dict[str, Any]:
+def clock_quality(time: NDArray[np.floating[Any]]) -> dict[str, Any]:
     """Sampling of one signal from its time stamps in s, shape (rows,), in the order of the source.
 
     With the steps ``d`` between successive stamps and ``d_p`` their p-th percentile (of those above 0):

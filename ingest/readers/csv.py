@@ -17,7 +17,7 @@ import numpy as np
 import polars as pl
 
 from ingest.about import about_json, parse_about
-from ingest.clock import with_time
+from ingest.clock import parse_dates, with_time
 from ingest.dialect import Column, Dialect, sniff
 from ingest.errors import LogError
 from ingest.log import TIME, Event, Group, Log, Signal
@@ -77,8 +77,8 @@ def read(path: Path, names: NameMap) -> Recording:
     frame, told = with_time(str(path), frame, written, clock.unit, names.time)
     if frame.is_empty():
         raise LogError(f"{path}: no samples: no complete row whose time is a number")
-    if notes := [*notes, *facts.get("notes", ()), *told.get("notes", ())]:
-        facts["notes"] = notes
+    notes += [*facts.pop("notes", ()), *told.pop("notes", ())]
+    facts |= told | ({"notes": notes} if notes else {})
     return Recording(_log(path, dialect, frame, flags, about, facts))
 
 
@@ -173,8 +173,8 @@ def _second_look(
         plain = text.str.replace(",", ".", literal=True) if dialect.decimal_comma else text
         number = frame[text.name].fill_null(plain.cast(pl.Float64, strict=False))
         words = text.filter(number.is_null() & text.is_not_null())
-        if len(words) and number.null_count() == len(number) and text.name != TIME:
-            number = text
+        if len(words) and number.null_count() == len(number):
+            number = parse_dates(text) if text.name == TIME else text
         elif len(words):
             example = Counter(words.to_list()).most_common(1)[0][0]
             flags[text.name] = f"{len(words)} cells are not numbers, such as {example!r}"

@@ -93,6 +93,26 @@ def test_time_column_and_its_unit(tmp_path: Path, header: str, cells: str, expec
     assert read(tmp_path, f"{header}\n{row}\n").groups["data"].time.tolist() == [expected]
 
 
+@pytest.mark.parametrize(
+    ("cells", "start", "expected"),
+    [
+        (("2024-05-01T12:00:00.500Z", "2024-05-01T12:00:01.000Z"), "2024-05-01 12:00:00.500", [0.0, 0.5]),
+        (("2024-05-01 23:59:59,75", "2024-05-02 00:00:00,00"), "2024-05-01 23:59:59.750", [0.0, 0.25]),
+        (("01.05.2024 12:00:00", "01.05.2024 12:01:00"), "2024-05-01 12:00:00", [0.0, 60.0]),
+        (("00:00:01.5", "00:01:00.0"), None, [1.5, 60.0]),
+        (("12:00:00", "noon"), None, [43200.0]),
+    ],
+)
+def test_dates_and_clock_times(
+    tmp_path: Path, cells: tuple[str, str], start: str | None, expected: list[float]
+) -> None:
+    log = read(tmp_path, f"Zeit;a\n{cells[0]};1,5\n{cells[1]};2,5\n")
+    assert log.groups["data"].time.tolist() == expected
+    assert (start is None) == ("start_time" not in log.facts)
+    assert log.facts.get("start_time", "").startswith(start or "")
+    assert ("notes" in log.facts) == (len(expected) < 2)
+
+
 def test_time_column_by_map(tmp_path: Path) -> None:
     names = NameMap(time=TimeMap(source=("zyklus",), unit="ms"))
     log = read(tmp_path, "zyklus,time\n500,1\n", names)
