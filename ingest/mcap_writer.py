@@ -142,7 +142,7 @@ def _pack(batch: Batch, first: bytes) -> Chunk:
     records = first + batch.records
     return Chunk(
         compression="zstd",
-        data=zstandard.compress(records, level=3),
+        data=zstandard.compress(records, level=1),  # half the time of level 3 for a tenth more bytes
         message_start_time=int(batch.log_time.min()),
         message_end_time=int(batch.log_time.max()),
         uncompressed_crc=zlib.crc32(records),
