@@ -167,3 +167,11 @@ def test_unreadable_map(tmp_path: Path, content: bytes | None) -> None:
         path.write_bytes(content)
     with pytest.raises(MapError, match=r"m\.toml cannot be read"):
         load_map(path)
+
+
+@pytest.mark.parametrize(
+    "path", sorted((Path(__file__).parents[2] / "data" / "maps").glob("*.toml")), ids=lambda p: p.stem
+)
+def test_maps_that_come_along(path: Path) -> None:
+    names = load_map(path)
+    assert {"p_Bst", "p_Int", "W_HFM", "n_Eng"} <= set(names.signals)
