@@ -229,18 +229,19 @@ def write(log: Log, path: Path) -> None:
     """One table: a comment line with units, events and facts as JSON, the names, the numbers.
 
     Groups of several rasters become one table over the union of their time stamps, empty where a group has
-    no row; numbers come back exactly, but as Float64.
+    no row; numbers come back exactly, but as Float64 (truth values as 1 and 0).
     """
     with path.open("wb") as file:
         events = [e.to_json() for e in log.events]
         signals = {n: s.to_metadata() for n, s in log.signals.items()}
         file.write(_OWN + about_json(log, events=events, signals=signals).encode() + b"\n")
-        _union([g.frame for g in log.groups.values()]).write_csv(file)
+        table = _union([g.frame for g in log.groups.values()])
+        table.with_columns(pl.col(pl.Boolean).cast(pl.UInt8)).write_csv(file)
 
 
 def _union(frames: list[pl.DataFrame]) -> pl.DataFrame:
     if len(frames) < 2:
         return pl.concat(frames) if frames else pl.DataFrame(schema={TIME: pl.Float64})
-    repeat = pl.int_range(pl.len()).over(TIME).alias("repeat")  # a time stamp may stand twice
-    keyed = [f.with_columns(repeat) for f in frames]
-    return pl.concat(keyed, how="align_full").sort(TIME, "repeat").drop("repeat")
+    repeat = "\0"  # counts rows of one time stamp; no signal has this name
+    keyed = [f.with_columns(pl.int_range(pl.len()).over(TIME).alias(repeat)) for f in frames]
+    return pl.concat(keyed, how="align_full").sort(TIME, repeat).drop(repeat)

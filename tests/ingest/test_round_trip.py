@@ -134,6 +134,15 @@ def test_csv_keeps_numbers_events_and_groups(slow: list[float], fast: list[float
     assert back.groups["fast"].frame.equals(groups["fast"].frame)
 
 
+def test_csv_with_repeated_stamps_and_truth_values(tmp_path: Path) -> None:
+    frame = pl.DataFrame({"time": [0.0, 1.0, 1.0, 2.0], "repeat": [1.0, 2.0, 3.0, 4.0]})
+    flags = pl.DataFrame({"time": [1.0, 3.0], "on": [True, False]})
+    log = Log("x", {"a": Group("a", frame), "b": Group("b", flags)})
+    back = read_log(write_log(log, tmp_path / "x.csv"))
+    assert back.groups["a"].frame.equals(frame)
+    assert back.groups["b"].frame.rows() == [(1.0, 1.0), (3.0, 0.0)]
+
+
 def test_many_rows_over_many_chunks(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     rows = 50_000
