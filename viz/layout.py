@@ -20,6 +20,7 @@ OVERVIEW_PANELS = 2
 OVERVIEW_RESIDUALS = 3
 PANELS_PER_PAGE = 12
 LANES_BELOW = 6
+LANES_HEAD, LANE = 0.058, 0.042  # of a screen's height
 FAULTS = "What was injected, what was found"
 BACKGROUND = (16, 17, 20)
 _GLOBAL_VIEW = "view/5c0dca6a-e63f-9cf7-f657-2602590474cc"  # of the viewer, re_viewer_context; not public
@@ -44,7 +45,9 @@ class WholeRange(rrb.Blueprint):
 
 def log_layout(contents: LogContents, lanes: Sequence[str], span: tuple[float, float]) -> rrb.Blueprint:
     """A log without a run: signals beside what is known of it."""
-    left = rrb.Vertical(*map(_signal_view, overview_panels(contents.panels, 6)), *_lane_view("Events", lanes))
+    signals = [_signal_view(panel) for panel in overview_panels(contents.panels, 6)]
+    shares = _shares([1.0] * len(signals), lanes)
+    left = rrb.Vertical(*signals, *_lane_view("Events", lanes), row_shares=shares)
     about = rrb.TextDocumentView(origin="/summary", name="Log")
     tabs = [rrb.Horizontal(left, about, column_shares=[7, 3], name="Overview"), *signal_tabs(contents)]
     return _blueprint(tabs, span)
@@ -88,7 +91,7 @@ def _overview(
         *signals,
         *shown,
         *_lane_view(FAULTS, lanes),
-        row_shares=[2.0] * len(signals) + [2.6] * len(shown) + [0.62 * len(lanes) + 0.5],
+        row_shares=_shares([2.0] * len(signals) + [2.6] * len(shown), lanes),
     )
     right: list[rrb.View] = [rrb.TextDocumentView(origin="/summary", name="Summary")]
     if operating_map:
@@ -96,6 +99,13 @@ def _overview(
     return rrb.Horizontal(
         left, rrb.Vertical(*right, row_shares=[5, 4][: len(right)]), column_shares=[7, 3], name="Overview"
     )
+
+
+def _shares(plots: Sequence[float], lanes: Sequence[str]) -> list[float]:
+    """Shares of a column's height: as much for the lanes as they need, the rest for the plots."""
+    below = [LANES_HEAD + LANE * len(lanes)] if lanes else []
+    rest = max(1.0 - sum(below), 0.3)
+    return [share / sum(plots) * rest for share in plots] + below
 
 
 def overview_panels(panels: Sequence[Panel], count: int) -> list[Panel]:
@@ -107,15 +117,12 @@ def overview_panels(panels: Sequence[Panel], count: int) -> list[Panel]:
 def signal_tabs(contents: LogContents) -> list[rrb.Container]:
     """The tab of all signals, with pages where they do not fit on one; text as lanes below, or on a page."""
     views = [_signal_view(panel) for panel in contents.panels]
-    starts = range(0, len(views), PANELS_PER_PAGE)
-    pages = [
-        _grid(views[i : i + PANELS_PER_PAGE], f"{i + 1} to {min(i + PANELS_PER_PAGE, len(views))}")
-        for i in starts
-    ]
+    count = -(-len(views) // PANELS_PER_PAGE)
+    parts = [views[len(views) * i // count : len(views) * (i + 1) // count] for i in range(count)]
+    pages = [_grid(part, f"Page {i + 1}") for i, part in enumerate(parts)]
     lanes = _lane_view("States", contents.lanes)
     if len(pages) == 1 and len(contents.lanes) <= LANES_BELOW:
-        shares = [8.0, *(0.4 + 0.5 * len(contents.lanes) for _ in lanes)]
-        return [rrb.Vertical(pages[0], *lanes, row_shares=shares, name="Signals")]
+        return [rrb.Vertical(pages[0], *lanes, row_shares=_shares([1.0], contents.lanes), name="Signals")]
     pages += [rrb.Vertical(view, name="States") for view in lanes]
     return [rrb.Tabs(*pages, name="Signals")] if pages else []
 
@@ -127,9 +134,7 @@ def _grid(views: Sequence[rrb.View], name: str | None = None) -> rrb.Container:
 def _residuals(residuals: Sequence[Residual], lanes: Sequence[str]) -> rrb.Container:
     plots = _grid([_residual_view(residual, legend=len(residuals) <= 3) for residual in residuals])
     shown = [lane for lane in lanes if lane in (*FAULT_LANES, REGIME)]
-    return rrb.Vertical(
-        plots, *_lane_view(FAULTS, shown), row_shares=[10, 0.4 + 0.7 * len(shown)], name="Residuals"
-    )
+    return rrb.Vertical(plots, *_lane_view(FAULTS, shown), row_shares=_shares([1.0], shown), name="Residuals")
 
 
 def _regimes(plane: OperatingMap) -> rrb.Container:
@@ -144,11 +149,12 @@ def _regimes(plane: OperatingMap) -> rrb.Container:
 
 
 def _evidence(lanes: Sequence[str]) -> rrb.Container:
+    shown = [lane for lane in lanes if lane in FAULT_LANES]
     return rrb.Vertical(
         _plot("Probability of each hypothesis [1]", ["/probability/leading"], (-0.03, 1.03)),
         _plot("Evidence: log-likelihood ratio to the fault-free case [1]", ["/evidence/leading"]),
-        *_lane_view(FAULTS, [lane for lane in lanes if lane in FAULT_LANES]),
-        row_shares=[4, 4, 2],
+        *_lane_view(FAULTS, shown),
+        row_shares=_shares([1.0, 1.0], shown),
         name="Evidence",
     )
 
@@ -173,9 +179,11 @@ def _signal_view(panel: Panel) -> rrb.TimeSeriesView:
 
 
 def _residual_view(residual: Residual, legend: bool = False) -> rrb.TimeSeriesView:
-    title = f"{residual.title} · grey ±3 sigma · red beyond · yellow: detected · white bar: injected"
+    low, high = residual.range
+    scale = f"{residual.title} from {low:.2g} to {high:.2g}"
+    title = f"{scale} · grey ±3 sigma · red beyond · yellow: detected · white bar: injected"
     paths = [f"{residual.path}/**"]
-    return _plot(title, paths, (-residual.height, residual.height), legend=legend)
+    return _plot(title, paths, residual.range, legend=legend)
 
 
 def _plot(

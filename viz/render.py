@@ -11,11 +11,12 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rerun.experimental import ViewerClient
 
-from ingest.errors import DynoscopeError
+from ingest.errors import DynoscopeError, LogError
 from viz.send import TIMELINE
-from viz.viewer import free_port, start
+from viz.viewer import free_port, is_recording, start
 
 DRIVERS = Path("/usr/share/vulkan/icd.d")
 TIMEOUT_S = 120.0
@@ -32,8 +33,11 @@ def render(recording: Path, folder: Path, *, at: float | None = None) -> list[Pa
     """One PNG per tab, ``folder/<tab>.png``, with the cursor at ``at`` s (None: where it opens).
 
     Raises:
+        LogError: ``recording`` is not one.
         DynoscopeError: there is no software driver, the recording does not load, or a view reports a problem.
     """
+    if not is_recording(recording):
+        raise LogError(f"{recording} is not a Rerun recording")
     folder.mkdir(parents=True, exist_ok=True)
     pictures = []
     with _viewer() as viewer:
@@ -90,13 +94,13 @@ def _open(viewer: ViewerClient, recording: Path) -> None:
 def _tabs(viewer: ViewerClient) -> Iterator[str]:
     """Bring each tab of the outermost container to the front and give its name."""
     blueprint: dict[str, Any] = viewer.get_blueprint().blueprint
-    containers = {k: e["ContainerBlueprint"] for k, e in blueprint.items() if "ContainerBlueprint" in e}
-    inner = {f"/{child.lstrip('/')}" for c in containers.values() for child in c["contents"]}
-    root = next(k for k in containers if k not in inner)
-    for tab in containers[root]["contents"]:
-        containers[root]["active_tab"] = tab
+    root: str = blueprint["/viewport"]["ViewportBlueprint"]["root_container"]
+    tabs = blueprint[f"/container/{root}"]["ContainerBlueprint"]
+    for tab in np.atleast_1d(tabs["contents"]).tolist():  # a single one stands without a list
+        tabs["active_tab"] = tab
         viewer.set_blueprint(blueprint, of="recording")
-        yield str(containers[f"/{tab.lstrip('/')}"]["display_name"])
+        entry = blueprint[f"/{tab.lstrip('/')}"]
+        yield str(next(e["display_name"] for e in entry.values() if "display_name" in e))
 
 
 def _settled(viewer: ViewerClient) -> bytes:

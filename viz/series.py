@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -98,6 +99,21 @@ def spans(time: Array, active: NDArray[np.bool_]) -> list[tuple[float, float]]:
     edges = np.flatnonzero(np.diff(np.concatenate([[0], active.astype(np.int8), [0]])))
     last = time.size - 1
     return [(float(time[a]), float(time[min(b, last)])) for a, b in edges.reshape(-1, 2)]
+
+
+def union(windows: Iterable[tuple[float, float]]) -> list[tuple[float, float]]:
+    """Windows in order of time, those that overlap or touch made one.
+
+    >>> union([(5.0, 9.0), (1.0, 3.0), (2.0, 4.0)])
+    [(1.0, 4.0), (5.0, 9.0)]
+    """
+    joined: list[tuple[float, float]] = []
+    for start, end in sorted(windows):
+        if joined and start <= joined[-1][1]:
+            joined[-1] = (joined[-1][0], max(end, joined[-1][1]))
+        else:
+            joined.append((start, end))
+    return joined
 
 
 def tick_step(low: float, high: float) -> float:

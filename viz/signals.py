@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +21,9 @@ FULL_ROWS = 200_000
 ENVELOPE_POINTS = 50_000
 """... of about this many points."""
 SERIES_PER_PANEL = 8
+RATIO = 10.0
+"""Signals whose greatest values differ by more do not share a plot."""
+MARGIN = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,7 +34,7 @@ class Panel:
     signals: tuple[str, ...]
     entities: tuple[str, ...]
     range: tuple[float, float]
-    """Round limits around all values, so that the scale has ticks."""
+    """A little more than round limits around all values, so that the scale has ticks."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,21 +43,25 @@ class LogContents:
 
     panels: tuple[Panel, ...]
     lanes: tuple[str, ...]
-    reduced: tuple[str, ...]
-    """Groups drawn as their envelope."""
-    left_out: tuple[str, ...]
-    """Signals that are neither numbers nor text."""
+    remarks: tuple[str, ...]
+    """What was not drawn as it is."""
 
 
 def log_signals(rec: rr.RecordingStream, log: Log) -> LogContents:
     """All signals of ``log`` below ``/signals`` and ``/states``."""
-    panels = [_log_panel(rec, log, unit, names) for unit, names in _plots(log)]
-    text = [n for n, g in _each(log) if not _is_number(g, n) and _is_text(g, n)]
+    panels = [_log_panel(rec, log, names) for names in _plots(log)]
+    text = [n for n, g in _each(log) if _is_text(g, n)]
     return LogContents(
         panels=tuple(panels),
         lanes=tuple(_log_lane(rec, log.group_of(name), name) for name in text),
-        reduced=tuple(g.name for g in log.groups.values() if g.frame.height > FULL_ROWS),
-        left_out=tuple(n for n, g in _each(log) if not _is_number(g, n) and n not in text),
+        remarks=(
+            *(f"{n}: neither number nor text, not drawn" for n, g in _each(log) if not _is_drawn(g, n)),
+            *(
+                f"group {g.name}: {g.frame.height} rows, drawn as the least and greatest of each stretch"
+                for g in log.groups.values()
+                if g.frame.height > FULL_ROWS
+            ),
+        ),
     )
 
 
@@ -76,20 +84,54 @@ def _is_text(group: Group, name: str) -> bool:
     return group.frame.schema[name] in (pl.String, pl.Boolean, pl.Categorical, pl.Enum)
 
 
-def _plots(log: Log) -> list[tuple[str | None, list[str]]]:
-    """Unit and signals of each plot; signals without a unit share no scale, so each has its own plot."""
-    by_unit: dict[str | None, list[str]] = defaultdict(list)
+def _is_drawn(group: Group, name: str) -> bool:
+    return _is_number(group, name) or _is_text(group, name)
+
+
+def _plots(log: Log) -> list[list[str]]:
+    """The signals of each plot: of one unit, one family (the name before its last dot) and one size.
+
+    Signals without a unit share no scale, so each has its own plot.
+    """
+    families: dict[tuple[str, str | None], list[str]] = defaultdict(list)
     for name, group in _each(log):
         if _is_number(group, name):
-            by_unit[group.signals[name].unit].append(name)
-    plots: list[tuple[str | None, list[str]]] = []
-    for unit, names in by_unit.items():
-        width = SERIES_PER_PANEL if unit else 1
-        plots += [(unit, names[i : i + width]) for i in range(0, len(names), width)]
+            family = name.rpartition(".")[0]
+            families[family, group.signals[name].unit].append(name)
+    plots: list[list[str]] = []
+    for family, unit in sorted(families, key=lambda key: key[0]):
+        names = families[family, unit]
+        plots += _of_one_size({name: _size(log, name) for name in names}) if unit else [[n] for n in names]
     return plots
 
 
-def _log_panel(rec: rr.RecordingStream, log: Log, unit: str | None, names: list[str]) -> Panel:
+def _size(log: Log, name: str) -> float:
+    values = log.values(name)
+    return float(np.abs(values[np.isfinite(values)]).max(initial=0.0))
+
+
+def _of_one_size(sizes: Mapping[str, float]) -> list[list[str]]:
+    """Names whose sizes differ by less than ``RATIO``, at most ``SERIES_PER_PANEL`` together, in their order.
+
+    >>> _of_one_size({"n_Eng": 4000.0, "n_Turb": 120e3, "n_Fan": 900.0, "n_Off": 0.0})
+    [['n_Eng', 'n_Fan', 'n_Off'], ['n_Turb']]
+    """
+    plots: list[list[str]] = []
+    for name, size in sizes.items():
+        for plot in plots:
+            known = [s for s in (sizes[n] for n in plot) if s > 0.0]
+            low, high = min(known, default=size), max(known, default=size)
+            fits = size == 0.0 or not known or max(high, size) < RATIO * min(low, size)
+            if fits and len(plot) < SERIES_PER_PANEL:
+                plot.append(name)
+                break
+        else:
+            plots.append([name])
+    return plots
+
+
+def _log_panel(rec: rr.RecordingStream, log: Log, names: list[str]) -> Panel:
+    unit = log.signals[names[0]].unit
     by_group: dict[str, list[str]] = defaultdict(list)
     for key, group in log.groups.items():
         by_group[key] += [name for name in names if name in group.signals]
@@ -103,12 +145,14 @@ def _log_panel(rec: rr.RecordingStream, log: Log, unit: str | None, names: list[
             extremes += [
                 f(values[np.isfinite(values)]) for f in (np.min, np.max) if np.isfinite(values).any()
             ]
+    low, high = limits(min(extremes, default=0.0), max(extremes, default=1.0))
+    margin = MARGIN * (high - low)
     shown = ", ".join(names) if len(names) <= 4 else f"{', '.join(names[:3])} … ({len(names)})"
     return Panel(
         title=f"{shown} [{unit or 'unit unknown'}]",
         signals=tuple(names),
         entities=tuple(entities),
-        range=limits(min(extremes, default=0.0), max(extremes, default=1.0)),
+        range=(low - margin, high + margin),
     )
 
 

@@ -18,14 +18,14 @@ REASONS = 3
 REGIME_ROWS = 40
 
 
-def summary(diagnosis: Diagnosis) -> str:
-    """The whole summary of a run."""
+def summary(diagnosis: Diagnosis, remarks: Iterable[str] = ()) -> str:
+    """The whole summary of a run; ``remarks`` on how its log is drawn go to the data."""
     verdict, log = diagnosis.verdict, diagnosis.log
     parts = [
         f"## {headline(verdict)}",
-        table(("", verdict.log), _verdict_rows(verdict, truth(log))),
+        _facts_of_verdict(verdict, truth(log)),
         "### Why\n" + _bullets(reasons(diagnosis)),
-        "### Data\n" + _bullets(_data(diagnosis)),
+        "### Data\n" + _bullets([*_data(diagnosis), *remarks]),
         "### Provenance\n" + _provenance(verdict, log),
     ]
     return "\n\n".join(part for part in parts if part)
@@ -63,7 +63,7 @@ def magnitude_text(magnitude: Magnitude) -> str:
     return f"{value:.{digits}f} ± {magnitude.sd * scale:.{digits}f} {unit}"
 
 
-def _verdict_rows(verdict: Verdict, injected: list[Event]) -> list[tuple[str, str]]:
+def _facts_of_verdict(verdict: Verdict, injected: list[Event]) -> str:
     delay = detection_delay(verdict, injected)
     rows = [
         ("Onset", None if verdict.onset_s is None else f"{verdict.onset_s:.1f} s"),
@@ -74,7 +74,8 @@ def _verdict_rows(verdict: Verdict, injected: list[Event]) -> list[tuple[str, st
         ("Against the truth", agreement(verdict, injected) if injected else None),
         ("Delay", None if delay is None else f"{delay:.1f} s"),
     ]
-    return [(name, text) for name, text in rows if text]
+    known = [(name, text) for name, text in rows if text]
+    return table(("", verdict.log), known) if known else ""
 
 
 def injected_text(event: Event) -> str:
@@ -128,10 +129,11 @@ def reasons(diagnosis: Diagnosis) -> list[str]:
 
 def _in_words(name: str, z: Any, when: str) -> str:
     mean, beyond = float(z.mean()), float((np.abs(z) > 3.0).mean())
-    side = "above" if mean > 0 else "below"
-    strength = "far" if abs(mean) >= 3.0 else "clearly" if abs(mean) >= 1.0 else "hardly"
-    numbers = f"mean {mean:+.1f} sigma, {beyond:.0%} beyond 3 sigma"
-    return f"**{name}** is {strength} {side} expectation {when}: {numbers}"
+    strength = "far" if abs(mean) >= 3.0 else "clearly"
+    where = (
+        f"{strength} {'above' if mean > 0 else 'below'} expectation" if abs(mean) >= 1.0 else "as expected"
+    )
+    return f"**{name}** is {where} {when}: mean {mean:+.1f} sigma, {beyond:.0%} beyond 3 sigma"
 
 
 def _runner_up(verdict: Verdict, samples: pl.DataFrame) -> list[str]:
@@ -157,8 +159,26 @@ def _data(diagnosis: Diagnosis) -> list[str]:
     if "in_domain" in samples.columns and samples.height:
         inside = float(samples["in_domain"].mean() or 0.0)  # type: ignore[arg-type]
         lines.append(f"{inside:.0%} of {samples.height} samples in regimes known from training")
-    lines += [f"{key.replace('_', ' ')}: {_short(value)}" for key, value in verdict.quality.items()]
-    return lines + quality_events(diagnosis.log) + flagged(diagnosis.log)
+    return lines + shortcomings(verdict.quality) + quality_events(diagnosis.log) + flagged(diagnosis.log)
+
+
+def shortcomings(quality: Mapping[str, Any]) -> list[str]:
+    """What a quality report holds against channels (``{channel: {"gaps": n, ...}}``), and its other numbers.
+
+    >>> shortcomings({"p_Int": {"gaps": 2, "missing": 0}, "T_Int": {"gaps": 0}, "usable_s": 12.0})
+    ['usable s: 12', 'gaps: p_Int']
+    """
+    channels = {name: found for name, found in quality.items() if isinstance(found, Mapping)}
+    lines = [f"{k.replace('_', ' ')}: {_short(v)}" for k, v in quality.items() if k not in channels]
+    for fault in ("gaps", "missing", "duplicates", "out_of_order", "constant"):
+        names = [name for name, found in channels.items() if found.get(fault)]
+        if names:
+            lines.append(f"{fault.replace('_', ' ')}: {_listed(names)}")
+    return lines
+
+
+def _listed(names: list[str]) -> str:
+    return ", ".join(names[:6]) + (f" … ({len(names)})" if len(names) > 6 else "")
 
 
 def quality_events(log: Log) -> list[str]:
@@ -178,7 +198,7 @@ def flagged(log: Log) -> list[str]:
     for name, signal in log.signals.items():
         for flag in signal.flags:
             by_flag.setdefault(flag, []).append(name)
-    return [f"{flag}: {', '.join(n[:6])}{' …' if len(n) > 6 else ''}" for flag, n in by_flag.items()]
+    return [f"{flag}: {_listed(names)}" for flag, names in by_flag.items()]
 
 
 def _provenance(verdict: Verdict, log: Log) -> str:
@@ -214,18 +234,16 @@ def regime_table(diagnosis: Diagnosis) -> str:
         body = [
             [regime_name(-1 if r is None else r) or "–", *map(_number, rest)] for r, *rest in rows.iter_rows()
         ]
-        parts.append(f"### {name} [{diagnosis.units.get(name, '1')}]\n" + table(rows.columns, body))
+        parts.append(f"### {name} [{diagnosis.units.get(name) or '1'}]\n" + table(rows.columns, body))
     return "\n\n".join(parts)
 
 
-def log_summary(log: Log, *, reduced: Iterable[str], left_out: Iterable[str]) -> str:
+def log_summary(log: Log, remarks: Iterable[str] = ()) -> str:
     """A log without a run: groups, rates, truth, remarks, facts."""
     rows = [
-        (g.name, str(g.frame.height), str(len(g.signals)), f"{g.rate_hz:.4g} Hz") for g in log.groups.values()
+        (g.name, str(g.frame.height), str(len(g.signals)), f"{g.rate_hz:.6g} Hz") for g in log.groups.values()
     ]
-    remarks = [f"group {name}: drawn as least and greatest of each stretch" for name in reduced]
-    remarks += [f"{name}: neither number nor text, not drawn" for name in left_out]
-    remarks += quality_events(log) + flagged(log)
+    remarks = [*remarks, *quality_events(log), *flagged(log)]
     parts = [
         f"## {log.name}",
         table(("group", "rows", "signals", "rate"), rows),
@@ -261,7 +279,5 @@ def _number(value: Any) -> str:
 def _short(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:.4g}"
-    if isinstance(value, Mapping):
-        return ", ".join(f"{k} {_short(v)}" for k, v in list(value.items())[:6])
     text = str(value)
     return text if len(text) <= 60 else text[:24] + "…"

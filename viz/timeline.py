@@ -49,7 +49,7 @@ def log_diagnosis(rec: rr.RecordingStream, diagnosis: Diagnosis) -> None:
     residuals = log_residuals(rec, diagnosis)
     lanes = log_lanes(rec, diagnosis)
     log_evidence(rec, diagnosis)
-    send.markdown(rec, "/summary", summary(diagnosis))
+    send.markdown(rec, "/summary", summary(diagnosis, contents.remarks))
     plane = diagnosis.operating_map
     if plane is not None:
         log_operating_map(rec, diagnosis, plane)
@@ -63,8 +63,7 @@ def log_log(rec: rr.RecordingStream, log: Log) -> None:
     span = checked_span(log)
     contents = log_signals(rec, log)
     lanes = log_event_lanes(rec, log)
-    about = log_summary(log, reduced=contents.reduced, left_out=contents.left_out)
-    send.markdown(rec, "/summary", about)
+    send.markdown(rec, "/summary", log_summary(log, contents.remarks))
     rec.send_blueprint(log_layout(contents, lanes, span), make_active=True, make_default=True)
 
 
