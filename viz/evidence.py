@@ -23,7 +23,7 @@ def log_evidence(rec: rr.RecordingStream, diagnosis: Diagnosis) -> None:
         present = [c.removeprefix(prefix) for c in samples.columns if c.startswith(prefix)]
         ranked = [fault for fault in first if fault in present]
         for part, faults in (("leading", ranked[:LEADING]), ("others", ranked[LEADING:])):
-            if faults:
+            if faults := faults[::-1]:  # the last line lies on top of those it hides
                 time, values = table(samples, [prefix + fault for fault in faults])
                 path = send.entity(root, part)
                 colours = [of_fault(fault) for fault in faults]
