@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import time
+import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -18,7 +19,7 @@ from pipeline.diagnosing import diagnose
 from pipeline.digest import file_sha256
 from pipeline.files import aside
 from pipeline.manifest import build_manifest, run_key
-from pipeline.outputs import MANIFEST, TIMELINE, VERDICT, write_run
+from pipeline.outputs import ANNOTATED, MANIFEST, SAMPLES, TIMELINE, VERDICT, write_run
 
 SUMMARY_SCHEMA = {
     "log": pl.String, "status": pl.String, "reason": pl.String, "recipe": pl.String, "detector": pl.String,
@@ -35,6 +36,7 @@ class Options:
     timeline: bool = True
     force: bool = False
     name_map: Path | None = None
+    debug: bool = False  # show the traceback of a log that failed
 
 
 def run(
@@ -62,10 +64,10 @@ def run(
     for name, path in zip(unique_stems(logs), logs, strict=True):
         try:
             rows[name] = _run_one(path, name, detector, out / name, options)
-        except DynoscopeError as error:
-            rows[name] = _failure(path, name, str(error))
-        except (OSError, MemoryError) as error:
-            rows[name] = _failure(path, name, f"{type(error).__name__}: {error}")
+        except Exception as error:  # whatever it is, the other logs are not to suffer
+            rows[name] = _failure(path, name, error)
+            if options.debug:
+                traceback.print_exception(error)
         rows[name] |= {"recipe": detector.recipe.name, "detector": detector.key}
         write_summary(list(rows.values()), out)
         progress(name, rows[name])
@@ -77,11 +79,13 @@ def _run_one(path: Path, name: str, detector: Detector, folder: Path, options: O
     from ingest.report import quality
 
     began = time.perf_counter()
+    if not path.is_file():
+        raise LogError(f"{path}: {'a folder without logs' if path.is_dir() else 'there is no such file'}")
     sha256 = file_sha256(path)
     map_sha256 = file_sha256(options.name_map) if options.name_map else None
     key = run_key(sha256, detector, {"map": map_sha256})
-    if not options.force and _is_done(folder, key, options):
-        return verdict_row(name, json.loads((folder / VERDICT).read_text(encoding="utf-8")))
+    if not options.force and (row := _done(name, folder, key, options)):
+        return row
     log = read_log(path, options.name_map)
     log = replace(log, name=name, facts={**log.facts, "sha256": sha256, "path": str(path)})
     diagnosis = diagnose(log, detector, quality=quality(log))
@@ -91,28 +95,35 @@ def _run_one(path: Path, name: str, detector: Detector, folder: Path, options: O
     }
     manifest = build_manifest(log, detector, key, times)
     write_run(diagnosis, folder, manifest, timeline=options.timeline)
-    return verdict_row(name, diagnosis.verdict.to_json())
+    return verdict_row(name, diagnosis.verdict.to_json(), manifest)
 
 
-def _failure(path: Path, name: str, reason: str) -> dict[str, Any]:
+def _failure(path: Path, name: str, error: Exception) -> dict[str, Any]:
     """The row of a log that failed; it says nothing of where the log lay."""
+    reason = str(error) if isinstance(error, DynoscopeError) else f"{type(error).__name__}: {error}"
     return {"log": name, "status": "failed", "reason": reason.replace(str(path), path.name)}
 
 
-def _is_done(folder: Path, key: str, options: Options) -> bool:
+def _done(name: str, folder: Path, key: str, options: Options) -> dict[str, Any] | None:
+    """The row of a log that has been run with the same ``key``, all its files in place; else None."""
+    files = (SAMPLES, ANNOTATED, *([TIMELINE] if options.timeline else []))
     try:
-        manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return False
-    return manifest.get("key") == key and (not options.timeline or (folder / TIMELINE).exists())
+        manifest, verdict = (
+            json.loads((folder / file).read_text(encoding="utf-8")) for file in (MANIFEST, VERDICT)
+        )
+        done = manifest["key"] == key and all((folder / file).is_file() for file in files)
+        return verdict_row(name, verdict, manifest) if done else None
+    except (OSError, ValueError, TypeError, KeyError, AttributeError):  # damaged: run it again
+        return None
 
 
-def verdict_row(name: str, verdict: dict[str, Any]) -> dict[str, Any]:
-    """A row of the summary from a verdict's JSON."""
-    magnitude = verdict["magnitude"] or {}
+def verdict_row(name: str, verdict: dict[str, Any], manifest: dict[str, Any]) -> dict[str, Any]:
+    """A row of the summary from a run's verdict and manifest."""
+    magnitude, salvaged = verdict["magnitude"] or {}, manifest["log"].get("salvaged", [])
     return {
         "log": name,
-        "status": "ok",
+        "status": "salvaged" if salvaged else "ok",
+        "reason": "; ".join(salvaged) or None,
         "fault": verdict["fault"],
         "signal": verdict["signal"],
         "set": " ".join(verdict["set"]),
@@ -135,7 +146,10 @@ def summary_frame(rows: Sequence[dict[str, Any]]) -> pl.DataFrame:
 def write_summary(rows: Sequence[dict[str, Any]], out: Path) -> None:
     """``summary.parquet`` and ``summary.csv`` of ``rows``, each replaced whole."""
     frame = summary_frame(rows)
-    with aside(out / "summary.parquet") as draft:
-        frame.write_parquet(draft)
-    with aside(out / "summary.csv") as draft:
-        frame.write_csv(draft)
+    try:
+        with aside(out / "summary.parquet") as draft:
+            frame.write_parquet(draft)
+        with aside(out / "summary.csv") as draft:
+            frame.write_csv(draft)
+    except OSError as error:
+        raise LogError(f"the summary in {out} cannot be written: {error.strerror or error}") from None

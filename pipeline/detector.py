@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import zipfile
+import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -22,6 +23,8 @@ from pipeline.recipe import Recipe, build_recipe
 from stages.stage import Learner, Stage
 
 FORMAT = 1
+# what numpy's reader raises on damaged files, besides its own ValueError
+DAMAGE = (OSError, ValueError, EOFError, KeyError, RuntimeError, MemoryError, zipfile.BadZipFile, zlib.error)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -90,7 +93,7 @@ def load_record(path: Path) -> dict[str, Any]:
         StoreError: it cannot be read, is of another format, or was changed.
     """
     try:
-        record = json.loads(path.read_text(encoding="utf-8"))
+        record = dict(json.loads(path.read_text(encoding="utf-8")))
         content = {k: v for k, v in record.items() if k not in ("key", "notes", "created")}
         intact = record["key"] == digest(content) == path.stem
     except (OSError, ValueError, TypeError, KeyError) as error:
@@ -102,7 +105,7 @@ def load_record(path: Path) -> dict[str, Any]:
         )
     if not intact:
         raise StoreError(f"detector record {path} was changed after it was written; fit the detector again")
-    return dict(record)
+    return record
 
 
 def load_detector(folder: Path, key: str) -> Detector:
@@ -116,7 +119,7 @@ def load_detector(folder: Path, key: str) -> Detector:
     try:
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+    except DAMAGE as error:
         raise StoreError(f"detector arrays {path} cannot be read: {error}; fit the detector again") from None
     if arrays_sha256(arrays) != record["arrays_sha256"]:
         raise StoreError(f"detector arrays {path} are not those of its record; fit the detector again")
@@ -137,7 +140,28 @@ def load_detector(folder: Path, key: str) -> Detector:
         else stage
         for i, (use, stage) in enumerate(zip(recipe.uses, recipe.stages, strict=True))
     )
-    return Detector(recipe=recipe, stages=stages, record=record)
+    return Detector(recipe=recipe, stages=tuple(stages), record=record)
+
+
+def check_recipe(detector: Detector, recipe: Recipe) -> None:
+    """A detector brings its own recipe; ``recipe`` must not say anything else.
+
+    Raises:
+        StoreError: they differ; the message says where.
+    """
+    old, new = detector.recipe.to_json(), recipe.to_json()
+    if old == new:
+        return
+    where = [k for k in old if k != "stage" and old[k] != new[k]]
+    if detector.recipe.uses == recipe.uses:
+        pairs = zip(recipe.uses, old["stage"], new["stage"], strict=True)
+        where += [f"{use}.{k}" for use, a, b in pairs for k in a if a[k] != b[k]]
+    else:
+        where += [f"stages {', '.join(detector.recipe.uses)}"]
+    raise StoreError(
+        f"detector {detector.key} was fitted with another recipe {recipe.name!r} ({'; '.join(where)}); "
+        "fit it again, or take the recipe as it was"
+    )
 
 
 def _learned(arrays: Mapping[str, NDArray[Any]], prefix: str) -> dict[str, NDArray[Any]]:

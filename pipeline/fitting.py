@@ -19,6 +19,7 @@ from pipeline.detector import Detector, new_detector
 from pipeline.recipe import Recipe
 from stages.relations import IN_DOMAIN, REGIME
 from stages.stage import ANALYSIS, Learner, Stage, add_columns, concat, transform
+from stages.verdict import usable_seconds
 
 FOLDS = 4
 Progress = Callable[[str], None]
@@ -38,6 +39,7 @@ def fit(
     prepare, models, decide = _sections(recipe.stages)
     progress(f"preparing {len(logs) + len(calibrate)} log(s): {', '.join(recipe.uses[: len(prepare)])}")
     training = [transform(prepare, log) for log in logs]
+    _check_amount(training, recipe.min_evidence_s)
     progress(f"fitting on {sum(b.groups[ANALYSIS].frame.height for b in training)} samples")
     fitted = _learn(models, training)
     notes = []
@@ -55,6 +57,17 @@ def fit(
     )
     stages = [*prepare, *fitted, *_learn(decide, held_out)]
     return new_detector(recipe, stages, logs, calibrate, notes)
+
+
+def _check_amount(blocks: Sequence[Log], least_s: float) -> None:
+    """What is too short to judge is too short to learn from."""
+    usable = sum(usable_seconds(block.groups[ANALYSIS].frame) for block in blocks)
+    if usable < least_s:
+        names = ", ".join(block.name for block in blocks)
+        raise LogError(
+            f"{names}: {usable:.0f} s of usable samples (near steady state) are too few to fit on, the "
+            f"recipe's min_evidence_s is {least_s:g}; take longer or more fault-free logs"
+        )
 
 
 def _sections(stages: Sequence[Stage]) -> tuple[Sequence[Stage], Sequence[Stage], Sequence[Stage]]:

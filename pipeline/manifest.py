@@ -38,7 +38,7 @@ def build_manifest(log: Log, detector: Detector, key: str, times: dict[str, floa
         parent = output
     return {
         "key": key,
-        "log": {k: log.facts[k] for k in ("file", "sha256", "format", "path") if k in log.facts},
+        "log": {k: log.facts[k] for k in ("file", "sha256", "format", "path", "salvaged") if k in log.facts},
         "detector": {k: detector.record[k] for k in ("key", "recipe", "training", "calibration", "notes")},
         "steps": steps,
         "packages": packages(),

@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 import shutil
 import tempfile
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import polars as pl
 
+from ingest.errors import LogError
 from ingest.log import TIME, Group, Log, Signal
 from stages.residuals import MODEL_SD, RESIDUAL, SIGMA
 from stages.results import Diagnosis
@@ -18,12 +20,20 @@ from stages.results import Diagnosis
 SAMPLES, VERDICT, ANNOTATED, TIMELINE, MANIFEST = (
     "samples.parquet", "verdict.json", "annotated.mcap", "timeline.rrd", "manifest.json",
 )  # fmt: skip
+ADDED = ("residuals", "regime", "verdict")  # groups of the annotated log
 
 
 def write_run(diagnosis: Diagnosis, folder: Path, manifest: dict[str, Any], *, timeline: bool = True) -> None:
-    """Write everything about one log to ``folder``, which appears whole or not at all."""
+    """Write everything about one log to ``folder``, which appears whole or not at all; an earlier run's is
+    replaced.
+
+    Raises:
+        LogError: something else lies at ``folder``.
+    """
     from ingest import write_log
 
+    if folder.exists() and not (folder / MANIFEST).is_file():
+        raise LogError(f"{folder} exists and is not a run's folder; choose another --out")
     folder.parent.mkdir(parents=True, exist_ok=True)
     draft = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
     try:
@@ -36,28 +46,52 @@ def write_run(diagnosis: Diagnosis, folder: Path, manifest: dict[str, Any], *, t
             write_timeline(diagnosis, draft / TIMELINE)
         (draft / MANIFEST).write_text(to_json(manifest), encoding="utf-8")
         draft.chmod(0o755)
-        if folder.exists():
-            folder.rename(old := draft.with_name(draft.name + ".old"))
-            draft.rename(folder)
-            shutil.rmtree(old)
-        else:
-            draft.rename(folder)
+        _put(draft, folder)
     finally:
         shutil.rmtree(draft, ignore_errors=True)
 
 
+def _put(draft: Path, folder: Path) -> None:
+    """Rename ``draft`` to ``folder``; what was there goes once that has worked."""
+    if not folder.exists():
+        draft.rename(folder)
+        return
+    folder.rename(old := draft.with_name(draft.name + ".old"))
+    try:
+        draft.rename(folder)
+    except OSError:
+        old.rename(folder)
+        raise
+    shutil.rmtree(old)
+
+
 def annotated(diagnosis: Diagnosis) -> Log:
     """The log with the samples as further groups (``residuals``, ``regime``, ``verdict``) and the findings as
-    events."""
+    events.
+
+    They take the place of those of an earlier run; where the log has a signal of a column's name, the column
+    is called ``dynoscope.<name>``.
+    """
+    log = diagnosis.log
+    log = replace(
+        log,
+        groups={k: g for k, g in log.groups.items() if k not in ADDED},
+        events=tuple(e for e in log.events if e.source != "dynoscope"),
+    )
     samples = diagnosis.samples
     kinds = {
         "residuals": [c for c in samples.columns if c.startswith((RESIDUAL, SIGMA, MODEL_SD, "z."))],
         "verdict": [c for c in samples.columns if c.startswith(("detection", "evidence.", "p."))],
     }
     kinds["regime"] = [c for c in samples.columns if c not in (TIME, *kinds["residuals"], *kinds["verdict"])]
-    log = diagnosis.log
+    taken = log.signals
     groups = {
-        name: _group(name, samples.select(TIME, *columns), diagnosis)
+        name: _group(
+            name,
+            samples.select(TIME, *columns),
+            diagnosis,
+            {c: f"dynoscope.{c}" for c in columns if c in taken},
+        )
         for name, columns in kinds.items()
         if columns
     }
@@ -69,13 +103,14 @@ def to_json(value: Any) -> str:
     return json.dumps(value, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
 
 
-def _group(name: str, frame: pl.DataFrame, diagnosis: Diagnosis) -> Group:
+def _group(name: str, frame: pl.DataFrame, diagnosis: Diagnosis, renamed: Mapping[str, str]) -> Group:
     signals = {}
     for c in frame.columns[1:]:
         kind, _, residual = c.partition(".")
         unit = diagnosis.units.get(residual) if kind in ("residual", "sigma", "model_sd") else "1"
         state = frame.schema[c].is_integer() or frame.schema[c] == pl.Boolean
-        signals[c] = Signal(
-            name=c, unit=unit, kind="state" if state else "continuous", resample="hold" if state else "linear"
-        )
-    return Group(name, frame, signals)
+        signals[renamed.get(c, c)] = Signal(
+            name=renamed.get(c, c), unit=unit, kind="state" if state else "continuous",
+            resample="hold" if state else "linear",
+        )  # fmt: skip
+    return Group(name, frame.rename(renamed), signals)

@@ -19,6 +19,7 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass
 from importlib.resources import files
+from itertools import takewhile
 from pathlib import Path
 from typing import Any, cast, get_type_hints
 
@@ -29,6 +30,8 @@ from pipeline.digest import settings
 from stages import STAGES
 from stages.align import Align
 from stages.stage import Stage
+
+STAGE_PARTS = ("version", "needs", "adds", "start", "step")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,9 +106,11 @@ def load_recipe(name: str | Path) -> Recipe:
         data = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise RecipeError(f"recipe {str(name)!r} is not TOML: {error}") from None
-    if path.suffix == ".toml" and (folder := str(path.resolve().parent)) not in sys.path:
+    if str(name) in builtin_recipes():
+        return build_recipe(str(name), data)
+    if (folder := str(path.resolve().parent)) not in sys.path:
         sys.path.append(folder)  # a recipe's own stages lie beside it
-    return build_recipe(path.stem if path.suffix == ".toml" else str(name), data)
+    return build_recipe(path.stem, data)
 
 
 def build_recipe(name: str, data: Mapping[str, Any]) -> Recipe:
@@ -117,16 +122,17 @@ def build_recipe(name: str, data: Mapping[str, Any]) -> Recipe:
     head = {k: v for k, v in data.items() if k != "stage"}
     problems: list[str] = []
     known = {f.name: f for f in fields(Recipe) if f.name not in ("name", "stages", "uses")}
-    values = _validate(Recipe, known, head, "", problems)
+    values = _validate(Recipe, known, head, "", problems) or {}
     listed = data.get("stage")
-    if not isinstance(listed, list) or not listed:
+    if not isinstance(listed, list) or not listed or not all(isinstance(entry, dict) for entry in listed):
         problems.append("no [[stage]]; a recipe lists its stages in order, the first is align")
         listed = []
     stages = [_build_stage(i, dict(entry), problems) for i, entry in enumerate(listed, start=1)]
-    if listed and not problems and not isinstance(stages[0], Align):
+    built = [s for s in takewhile(lambda s: s is not None, stages) if s is not None]
+    if built and not isinstance(built[0], Align):
         problems.append(f"stage 1 is {listed[0].get('use')!r}; the first must be 'align'")
-    if not problems:
-        problems += dataflow_problems([s for s in stages if s is not None])
+    elif built:  # what comes after a stage that could not be built may need what that one adds
+        problems += dataflow_problems(built)
     if problems:
         lines = "\n".join(f"  - {p}" for p in problems)
         raise RecipeError(f"recipe {name!r} has {len(problems)} mistake(s):\n{lines}")
@@ -158,17 +164,17 @@ def _build_stage(number: int, entry: dict[str, Any], problems: list[str]) -> Sta
         return None
     try:
         cls = pkgutil.resolve_name(STAGES.get(use, use))
-    except (ImportError, AttributeError) as error:
-        problems.append(f"{where} cannot be loaded: {error}")
+    except Exception as error:  # a user's module may raise anything
+        problems.append(f"{where} cannot be loaded: {type(error).__name__}: {error}")
         return None
     if not is_dataclass(cls):
         problems.append(f"{where}: {use!r} is not a dataclass; a stage's fields are its settings")
         return None
-    before = len(problems)
-    values = _validate(
-        cls, {f.name: f for f in fields(cls) if f.name != "learned"}, entry, where + ": ", problems
-    )
-    if len(problems) > before:
+    if lacking := [part for part in STAGE_PARTS if not hasattr(cls, part)]:
+        problems.append(f"{where}: {use!r} has no {', '.join(lacking)}; see stages.stage.Stage")
+        return None
+    known = {f.name: f for f in fields(cls) if f.name != "learned"}
+    if (values := _validate(cls, known, entry, where + ": ", problems)) is None:
         return None
     try:
         return cast(Stage, cast(Any, cls)(**values))
@@ -179,29 +185,30 @@ def _build_stage(number: int, entry: dict[str, Any], problems: list[str]) -> Sta
 
 def _validate(
     cls: Any, known: Mapping[str, Field[Any]], given: Mapping[str, Any], where: str, problems: list[str]
-) -> dict[str, Any]:
-    """``given`` converted to the types of the fields ``known``; what is wrong goes to ``problems``."""
+) -> dict[str, Any] | None:
+    """``given`` converted to the types of the fields ``known``, unknown ones left out; what is wrong goes to
+    ``problems``. None where the others cannot be used either."""
     hints = get_type_hints(cls)
     definition: dict[str, Any] = {}
     for name, f in known.items():
         required = f.default is MISSING and f.default_factory is MISSING
         definition[name] = (hints[name], ... if required else None)
+    problems += [
+        f"{where}unknown setting {name!r}; {did_you_mean(name, known)}" for name in given if name not in known
+    ]
     model = create_model("settings", __config__=ConfigDict(extra="forbid", frozen=True), **definition)
     try:
-        checked = TypeAdapter(model).validate_python(dict(given))
+        checked = TypeAdapter(model).validate_python({k: v for k, v in given.items() if k in known})
     except ValidationError as error:
         for problem in error.errors():
             path = ".".join(str(p) for p in problem["loc"])
             if problem["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
-                top = len(problem["loc"]) == 1
-                problems.append(
-                    f"{where}unknown setting {path!r}; {did_you_mean(path, known) if top else ''}"
-                )
+                problems.append(f"{where}unknown setting {path!r}")
             elif problem["type"] == "missing":
                 problems.append(f"{where}setting {path!r} is missing")
             else:
                 problems.append(f"{where}{path} = {problem['input']!r}: {problem['msg']}")
-        return {}
+        return None
     return {n: getattr(checked, n) for n in checked.model_fields_set}
 
 

@@ -82,7 +82,7 @@ class Store:
         Raises:
             StoreError: none or several do.
         """
-        keys = sorted(p.stem for p in self.folder.glob("*.json"))
+        keys = sorted(p.stem for p in self._files())
         found = [k for k in keys if k.startswith(key)]
         if len(found) == 1 and key:
             return found[0]
@@ -91,15 +91,24 @@ class Store:
 
     def records(self) -> list[dict[str, Any]]:
         """The records of all detectors, oldest first."""
-        return sorted((load_record(p) for p in self.folder.glob("*.json")), key=lambda r: str(r["created"]))
+        return sorted((load_record(p) for p in self._files()), key=lambda r: str(r["created"]))
+
+    def _files(self) -> list[Path]:
+        return [p for p in self.folder.glob("*.json") if not p.name.startswith(".")]  # no drafts
 
     def _pointer(self, recipe: str) -> Path:
         return self.folder / "champions" / f"{recipe}.json"
 
     def _history(self, recipe: str) -> list[dict[str, str]]:
         try:
-            return list(json.loads(self._pointer(recipe).read_text(encoding="utf-8")))
+            history = json.loads(self._pointer(recipe).read_text(encoding="utf-8"))
+            if not history or any(not isinstance(entry["key"], str) for entry in history):
+                raise ValueError("it names no detector")
+            return list(history)
         except FileNotFoundError:
             return []
-        except (OSError, ValueError) as error:
-            raise StoreError(f"champion pointer {self._pointer(recipe)} cannot be read: {error}") from None
+        except (OSError, ValueError, TypeError, KeyError) as error:
+            raise StoreError(
+                f"champion pointer {self._pointer(recipe)} cannot be read: {error}; "
+                "delete it to begin anew, or name a detector with --detector"
+            ) from None

@@ -39,14 +39,14 @@ def run(args: argparse.Namespace) -> int:
     with problems:
         recipe = load_recipe(args.recipe)
     with problems:
-        store = Store(args.store)
-    with problems:
         names = load_map(args.map) if args.map else None
-    problems.raise_any()
+    with problems:
+        store = Store(args.store)
     paths: dict[str, list[Path]] = {}
     for role, patterns in (("training", args.logs), ("calibration", args.calibrate)):
         with problems:
             paths[role] = find_logs(patterns) if patterns else []
+    problems.raise_any()
     logs: dict[str, list[Log]] = {role: [] for role in paths}
     for role, files in paths.items():
         for path in files:

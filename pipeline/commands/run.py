@@ -25,23 +25,28 @@ def run(args: argparse.Namespace) -> int:
     from ingest.maps import load_map
     from pipeline import batch
     from pipeline.console import Problems, print_json, progress, talk
+    from pipeline.detector import check_recipe
     from pipeline.recipe import load_recipe
     from pipeline.store import Store
 
     problems = Problems()
     with problems:
         recipe = load_recipe(args.recipe)
-    with problems:
-        store = Store(args.store)
-    if not problems.errors:
-        with problems:
-            detector = store.get(recipe.name, args.detector)
+    recipe_is_right = not problems.errors
     with problems:
         if args.map:
             load_map(args.map)
+    with problems:
+        store = Store(args.store)
+        if recipe_is_right:
+            detector = store.get(recipe.name, args.detector)
+            check_recipe(detector, recipe)
+    with problems:
+        paths = find_logs(args.logs)
     problems.raise_any()
-    paths = find_logs(args.logs)
-    options = batch.Options(timeline=not args.no_timeline, force=args.force, name_map=args.map)
+    options = batch.Options(
+        timeline=not args.no_timeline, force=args.force, name_map=args.map, debug=args.debug
+    )
     with progress("diagnosing", len(paths)) as step:
         summary = batch.run(paths, detector, args.out, options, lambda log, row: step(describe(log, row)))
     talk(f"results in {args.out}")

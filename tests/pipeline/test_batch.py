@@ -1,0 +1,252 @@
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+
+from ingest import write_log
+from ingest.errors import LogError
+from ingest.log import Log
+from pipeline import diagnose, run
+from pipeline.batch import SUMMARY_SCHEMA, Options
+from pipeline.detector import Detector
+
+PLAIN = Options(timeline=False)
+
+
+@pytest.fixture(scope="module")
+def done(logs: Path, detector: Detector, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A finished batch of two logs; not to be changed."""
+    out = tmp_path_factory.mktemp("batch") / "out"
+    run([logs / "faulty.parquet", logs / "healthy2.parquet"], detector, out, PLAIN)
+    return out
+
+
+@pytest.fixture
+def again(done: Path, logs: Path, tmp_path: Path) -> tuple[list[Path], Path]:
+    """A copy of the batch and of its logs, to be changed."""
+    shutil.copytree(done, tmp_path / "out")
+    paths = [tmp_path / name for name in ("faulty.parquet", "healthy2.parquet")]
+    for path in paths:
+        shutil.copy(logs / path.name, path)
+    return paths, tmp_path / "out"
+
+
+def inodes(out: Path) -> dict[str, int]:
+    """A run's folder is replaced as a whole, so its inode tells whether it was made again."""
+    return {p.name: p.stat().st_ino for p in out.iterdir() if p.is_dir()}
+
+
+def made_again(paths: list[Path], detector: Detector, out: Path, options: Options = PLAIN) -> set[str]:
+    before = inodes(out)
+    run(paths, detector, out, options)
+    return {name for name, inode in inodes(out).items() if before.get(name) != inode}
+
+
+def test_summary(done: Path, detector: Detector) -> None:
+    summary = pl.read_parquet(done / "summary.parquet")
+    assert dict(summary.schema) == SUMMARY_SCHEMA
+    faulty, healthy = summary.to_dicts()
+    assert (faulty["log"], faulty["status"], faulty["reason"]) == ("faulty", "ok", None)
+    assert (faulty["fault"], faulty["signal"], faulty["truth"]) == (
+        "boost_pressure_gain",
+        "p_Bst",
+        faulty["fault"],
+    )
+    assert (faulty["recipe"], faulty["detector"]) == ("diesel_airpath", detector.key)
+    assert 0.05 < faulty["p"] <= 1
+    assert faulty["fault"] in faulty["set"].split()
+    assert (healthy["fault"], healthy["set"], healthy["onset_s"], healthy["truth"]) == (
+        "none",
+        "",
+        None,
+        None,
+    )
+    assert pl.read_csv(done / "summary.csv").columns == list(SUMMARY_SCHEMA)
+
+
+def test_summary_is_that_of_the_verdicts(done: Path) -> None:
+    for row in pl.read_parquet(done / "summary.parquet").iter_rows(named=True):
+        verdict = json.loads((done / row["log"] / "verdict.json").read_text())
+        assert {k: verdict[k] for k in ("fault", "signal", "onset_s", "detected_s")} == {
+            k: row[k] for k in ("fault", "signal", "onset_s", "detected_s")
+        }
+
+
+def test_one_bad_log_does_not_stop_the_rest(logs: Path, detector: Detector, tmp_path: Path) -> None:
+    (tmp_path / "bad.parquet").write_bytes(b"PAR1 and then nothing")
+    (tmp_path / "other.csv").write_text("time,p_Boost\n0,1\n1,2\n")
+    seen: list[tuple[str, str, int]] = []
+
+    def progress(name: str, row: dict[str, Any]) -> None:
+        summary = pl.read_parquet(tmp_path / "out" / "summary.parquet")
+        assert summary["log"][-1] == name  # right after every log
+        seen.append((name, row["status"], summary.height))
+
+    paths = [
+        tmp_path / "bad.parquet",
+        tmp_path / "nowhere.mcap",
+        tmp_path / "other.csv",
+        logs / "faulty.parquet",
+    ]
+    summary = run(paths, detector, tmp_path / "out", PLAIN, progress)
+    assert seen == [
+        ("bad", "failed", 1),
+        ("nowhere", "failed", 2),
+        ("other", "failed", 3),
+        ("faulty", "ok", 4),
+    ]
+    bad, nowhere, other, ok = summary.to_dicts()
+    assert bad["reason"].startswith("bad.parquet")
+    assert nowhere["reason"] == "nowhere.mcap: there is no such file"
+    assert "has no signal 'p_" in other["reason"]
+    assert ok["fault"] == "boost_pressure_gain"
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {"faulty", "summary.csv", "summary.parquet"}
+
+
+@pytest.mark.parametrize(
+    "error",
+    [ZeroDivisionError("oops"), MemoryError(), OSError(28, "No space left"), pl.exceptions.ComputeError("x")],
+)
+def test_whatever_happens_to_one_log_the_rest_is_done(
+    logs: Path, detector: Detector, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    def fails_once(log: Log, *args: Any, **settings: Any) -> Any:
+        if log.name == "healthy1":
+            raise error
+        return diagnose(log, *args, **settings)
+
+    monkeypatch.setattr("pipeline.batch.diagnose", fails_once)
+    summary = run([logs / "healthy1.parquet", logs / "faulty.parquet"], detector, tmp_path, PLAIN)
+    assert summary["status"].to_list() == ["failed", "ok"]
+    assert type(error).__name__ in summary["reason"][0]
+
+
+def test_nothing_is_done_twice(again: tuple[list[Path], Path], detector: Detector) -> None:
+    paths, out = again
+    before = (out / "summary.parquet").read_bytes()
+    assert made_again(paths, detector, out) == set()
+    assert (out / "summary.parquet").read_bytes() == before
+
+
+def test_force(again: tuple[list[Path], Path], detector: Detector) -> None:
+    paths, out = again
+    assert made_again(paths, detector, out, replace(PLAIN, force=True)) == {"faulty", "healthy2"}
+
+
+def test_a_changed_log_is_done_again(again: tuple[list[Path], Path], faulty: Log, detector: Detector) -> None:
+    paths, out = again
+    write_log(faulty.between(0.0, 300.0), paths[0])
+    assert made_again(paths, detector, out) == {"faulty"}
+
+
+def test_a_touched_log_is_not(again: tuple[list[Path], Path], detector: Detector) -> None:
+    paths, out = again
+    os.utime(paths[0], (0, 0))
+    assert made_again(paths, detector, out) == set()
+
+
+@pytest.mark.parametrize(
+    ("file", "content"),
+    [
+        ("samples.parquet", None),
+        ("annotated.mcap", None),
+        ("verdict.json", None),
+        ("verdict.json", ""),
+        ("verdict.json", "[]"),
+        ("manifest.json", "{"),
+        ("manifest.json", "{}"),
+    ],
+)
+def test_an_incomplete_run_is_done_again(
+    again: tuple[list[Path], Path], detector: Detector, file: str, content: str | None
+) -> None:
+    paths, out = again
+    (out / "faulty" / file).unlink()
+    if content is not None:
+        (out / "faulty" / file).write_text(content)
+    assert made_again(paths, detector, out) == {"faulty"}
+
+
+def test_a_missing_timeline_is_added(again: tuple[list[Path], Path], detector: Detector) -> None:
+    paths, out = again
+    assert made_again(paths[:1], detector, out, Options()) == {"faulty"}
+    assert (out / "faulty" / "timeline.rrd").stat().st_size > 1000
+    assert made_again(paths[:1], detector, out, PLAIN) == set()  # and one too many is no reason
+
+
+def test_another_map_is_a_reason(again: tuple[list[Path], Path], detector: Detector, tmp_path: Path) -> None:
+    paths, out = again
+    (tmp_path / "map.toml").write_text('vehicle = "x"\n')
+    assert made_again(paths[:1], detector, out, replace(PLAIN, name_map=tmp_path / "map.toml")) == {"faulty"}
+
+
+def test_two_logs_of_one_stem(logs: Path, healthy: list[Log], detector: Detector, tmp_path: Path) -> None:
+    write_log(healthy[1], tmp_path / "faulty.mcap")
+    summary = run([logs / "faulty.parquet", tmp_path / "faulty.mcap"], detector, tmp_path / "out", PLAIN)
+    names = summary["log"].to_list()
+    assert all(name.startswith("faulty-") and len(name) == len("faulty-") + 8 for name in names)
+    assert len(set(names)) == 2
+    assert summary["fault"].to_list() == ["boost_pressure_gain", "none"]
+    assert json.loads((tmp_path / "out" / names[0] / "verdict.json").read_text())["log"] == names[0]
+
+
+def test_summary_does_not_depend_on_place_or_time(logs: Path, detector: Detector, tmp_path: Path) -> None:
+    content = []
+    for place in ("place_a", "place_b"):
+        folder = tmp_path / place
+        folder.mkdir()
+        shutil.copy(logs / "faulty.parquet", folder)
+        (folder / "bad.parquet").write_bytes(b"PAR1 and then nothing")
+        (folder / "other.csv").write_text("time,p_Boost\n0,1\n1,2\n")
+        names = ("bad.parquet", "nowhere.mcap", "other.csv", "faulty.parquet")
+        run([*(folder / n for n in names), folder / "gone" / "x.csv"], detector, folder / "out", PLAIN)
+        files = ("summary.parquet", "summary.csv", "faulty/samples.parquet", "faulty/verdict.json")
+        content.append([(folder / "out" / f).read_bytes() for f in files])
+        assert place not in (folder / "out" / "summary.csv").read_text()
+    assert content[0] == content[1]
+
+
+def test_a_salvaged_log_is_called_so(logs: Path, detector: Detector, faulty: Log, tmp_path: Path) -> None:
+    write_log(faulty, tmp_path / "cut.mcap")
+    content = (tmp_path / "cut.mcap").read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(content[: int(0.9 * len(content))])
+    first = run([tmp_path / "cut.mcap"], detector, tmp_path / "out", PLAIN)
+    (row,) = first.to_dicts()
+    assert row["status"] == "salvaged"
+    assert row["reason"]
+    assert run([tmp_path / "cut.mcap"], detector, tmp_path / "out", PLAIN).equals(first)  # also when resumed
+
+
+def test_inputs_are_not_changed(again: tuple[list[Path], Path], detector: Detector) -> None:
+    paths, _ = again
+    before = [p.read_bytes() for p in paths]
+    out = paths[0].parent / "beside"
+    run(paths, detector, out, PLAIN)
+    assert [p.read_bytes() for p in paths] == before
+
+
+def test_out_that_is_a_file_or_cannot_hold_the_summary(
+    logs: Path, detector: Detector, tmp_path: Path
+) -> None:
+    (tmp_path / "x").touch()
+    with pytest.raises(LogError, match=r"output folder .* cannot be made"):
+        run([logs / "faulty.parquet"], detector, tmp_path / "x", PLAIN)
+    (tmp_path / "out" / "summary.parquet").mkdir(parents=True)
+    with pytest.raises(LogError, match=r"summary in .* cannot be written"):
+        run([logs / "faulty.parquet"], detector, tmp_path / "out", PLAIN)
+
+
+def test_regime_of_samples_lies_on_the_map(done: Path, detector: Detector) -> None:
+    regime = pl.read_parquet(done / "faulty" / "samples.parquet")["regime"].to_numpy()
+    nodes = next(v for k, v in detector.arrays.items() if k.endswith("map/nodes"))
+    assert regime.min() >= -1
+    assert regime.max() < len(nodes)
+    assert len(np.unique(regime)) > 3
