@@ -58,6 +58,13 @@ def test_columns_and_types_of_the_samples(folder: Path, recipe: Recipe) -> None:
     assert {c for c in schema if c.startswith("p.")} == {c for c in expected if c.startswith("p.")}
 
 
+def test_every_column_of_the_samples_is_documented(folder: Path) -> None:
+    text = (Path(__file__).parents[2] / "docs/outputs.md").read_text(encoding="utf-8")
+    for column in pl.read_parquet_schema(folder / "samples.parquet"):
+        kind, dot, _ = column.partition(".")
+        assert f"`{kind}.<" in text if dot else f"`{kind}`" in text, column
+
+
 def test_values_of_the_samples(folder: Path) -> None:
     samples = pl.read_parquet(folder / "samples.parquet")
     detection = samples["detection"].to_numpy()
