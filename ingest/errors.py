@@ -33,8 +33,8 @@ class StoreError(DynoscopeError, ValueError):
 def did_you_mean(name: str, known: Iterable[str]) -> str:
     """A hint naming the nearest known names, or all of them where none is near.
 
-    >>> did_you_mean("p_Bts", ["p_Bst", "p_Int"])
-    'did you mean p_Bst? Known: p_Bst, p_Int'
+    >>> did_you_mean("n_Egn", ["n_Eng", "p_Int"])
+    'did you mean n_Eng? Known: n_Eng, p_Int'
     >>> did_you_mean("x", [])
     'there are none'
     """
