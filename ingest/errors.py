@@ -42,6 +42,6 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
     if not names:
         return "there are none"
     folded = {n.casefold(): n for n in names}
-    near = [folded[n] for n in get_close_matches(name.casefold(), folded, n=3, cutoff=0.6)]
+    near = [folded[n] for n in get_close_matches(name.casefold(), folded, n=3, cutoff=0.7)]
     listed = ", ".join(names[:40]) + (f", … ({len(names)} in all)" if len(names) > 40 else "")
     return f"did you mean {' or '.join(near)}? Known: {listed}" if near else f"known: {listed}"

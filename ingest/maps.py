@@ -51,10 +51,14 @@ class SignalMap:
 
 @dataclass(frozen=True, kw_only=True)
 class TimeMap:
-    """Which column is time (empty: known by its name), and its unit (None: the file's, else s)."""
+    """Which column is time (empty: known by its name), and its unit (None: the file's, else s).
+
+    ``rate``: rows per second of a table without a time column.
+    """
 
     source: tuple[str, ...] = ()
     unit: str | None = None
+    rate: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,12 +128,15 @@ def _sources(where: str, value: Any, mistakes: list[str]) -> tuple[str, ...]:
 
 
 def _time_map(table: Mapping[str, Any], mistakes: list[str]) -> TimeMap:
-    mistakes += _unknown("[time]", table, ("source", "unit"))
+    mistakes += _unknown("[time]", table, ("source", "unit", "rate"))
+    rate = _typed("[time] rate", table.get("rate"), float, mistakes)
+    if rate is not None and rate <= 0:
+        mistakes.append(f"[time] rate is {rate}; expected rows per second, above 0")
     unit = _typed("[time] unit", table.get("unit"), str, mistakes)
     if unit is not None:
         _check_unit("[time]", unit, "s", mistakes)
     source = _sources("[time]", table["source"], mistakes) if "source" in table else ()
-    return TimeMap(source=source, unit=unit)
+    return TimeMap(source=source, unit=unit, rate=None if rate is None else float(rate))
 
 
 def _signal_map(name: str, table: Any, mistakes: list[str]) -> SignalMap:

@@ -16,7 +16,7 @@ import polars as pl
 from mcap.records import Channel, Schema
 from numpy.typing import NDArray
 
-from ingest.clock import with_time
+from ingest.clock import Clock
 from ingest.log import TIME, Group, Signal
 from ingest.maps import TimeMap, match
 from ingest.mcap_messages import Decoder
@@ -99,7 +99,7 @@ def their_groups(
         frame = pl.DataFrame(values)
         chosen = match(time.source, frame.columns)
         if chosen:
-            frame, _ = with_time(where, frame, chosen[0], None, time)
+            frame = Clock(where, None, time).timed(frame, chosen[0])
         several = [f for f in frame.columns if shared[f] > 1 and not (chosen and f == TIME)]
         frame = frame.rename({f: f"{name}.{f}" for f in several})
         if not chosen:

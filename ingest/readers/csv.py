@@ -1,44 +1,41 @@
 """Text tables as benches and measurement programs write them.
 
 All columns are read as numbers; nothing is inferred from the first rows. Only where cells were not numbers
-is the text looked at again: padded numbers are taken, words for "missing" become null, a column without any
-number is a state of words, and what is left over is counted and flagged. A last line without line end is
-dropped: it may be cut in the middle of a number.
+is the text looked at again: padded and grouped numbers are taken, words for "missing" become null, a column
+without any number is a state of words, and what is left over is counted and flagged. Columns that are mostly
+empty have a raster of their own, without the empty rows. A last line without line end is dropped: it may be
+cut in the middle of a number.
 """
 
 from __future__ import annotations
 
 import re
-from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import polars as pl
 
 from ingest.about import about_json, parse_about
-from ingest.clock import parse_dates, with_time
-from ingest.dialect import Column, Dialect, sniff
+from ingest.blocks import BLOCK_BYTES, join
+from ingest.dialect import NAMELESS, Column, Dialect, sniff
 from ingest.errors import LogError
 from ingest.log import TIME, Event, Group, Log, Signal
 from ingest.maps import NameMap
 from ingest.readers import Recording
+from ingest.table import Table
+from ingest.text import TextFile
 
 GROUP = "data"
-HEAD = 1 << 16
-MISSING = (
-    "", "nan", "-nan", "na", "n/a", "null", "none", "nil", "-", "--", "---", "*", "?", "#n/a", "#nv",
-    "#null!", "#div/0!", "#value!", "#ref!", "1.#qnan", "-1.#qnan", "1.#ind", "-1.#ind", "1.#inf", "-1.#inf",
-    "invalid",
-)  # fmt: skip
-"""Cells that say "no value", in any case."""
-_UTF_16 = (b"\xff\xfe", b"\xfe\xff")
+HEAD = 1 << 20
 _OWN = b"# dynoscope "
+_SPARSE = 0.75  # a column with a smaller share of cells has a raster of its own
+_ENOUGH = 50  # rows to judge that by
 
 
 def is_mine(path: Path, head: bytes) -> bool:
     """Whether ``head`` is text: the format of last resort, which says what is amiss."""
-    if head[:2] in _UTF_16:
+    if head[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return True
     try:
         text = head.rstrip(b"\0").decode()
@@ -48,138 +45,82 @@ def is_mine(path: Path, head: bytes) -> bool:
 
 
 def header(path: Path, names: NameMap) -> Recording:
-    """Columns and units from the first 64 KiB."""
-    with path.open("rb") as file:
-        first = file.readline(HEAD)
-        first += file.readline() if first.startswith(_OWN) else b""
-        about, head = _about(path, _as_utf8(first + file.read(HEAD))[0])
-    dialect = sniff(str(path), head[:HEAD], names.time)
-    schema = dict.fromkeys((c.name for c in dialect.columns), pl.Float64)
-    return Recording(_log(path, dialect, pl.DataFrame(schema=schema), {}, about, {}))
+    """Columns and units from the first MiB."""
+    about, dialect, _ = _begin(TextFile(path), names)
+    frame = pl.DataFrame(schema=dict.fromkeys((c.name for c in dialect.columns), pl.Float64))
+    frame = frame if TIME in frame.columns else frame.with_columns(pl.lit(None, pl.Float64).alias(TIME))
+    return Recording(_log(path, dialect, frame, {}, about, {}, None))
 
 
 def read(path: Path, names: NameMap) -> Recording:
-    """The whole table as one group, values exactly as written (Float64, or String for states).
+    """The whole table, values exactly as written (Float64, or String for states).
 
     Raises:
-        LogError: not a table with a time column, no complete row, or a row with more fields than names.
+        LogError: not a table with a time column, no complete row, or most rows have too many fields.
     """
-    data, notes = _as_utf8(path.read_bytes())
-    about, data = _about(path, data)
-    dialect = sniff(str(path), data[:HEAD], names.time)
-    body, facts = _whole_lines(data[dialect.start :], dialect)
-    frame, flags = _second_look(path, body, dialect, _parse(path, body, dialect, pl.Float64))
-    if frame[frame.columns[-1]].null_count():
-        notes += _short_rows(body, dialect)
-    clock = dialect.columns[dialect.time]
-    written = clock.written if clock.written not in frame.columns else TIME
-    frame = frame.filter(~pl.all_horizontal(pl.all().is_null())).rename({TIME: written})
-    frame, told = with_time(str(path), frame, written, clock.unit, names.time)
-    if frame.is_empty():
+    return Recording(join(part.log for part in blocks(path, names, None)))
+
+
+def blocks(path: Path, names: NameMap, size: int | None = BLOCK_BYTES) -> Iterator[Recording]:
+    """The table in parts; the last one has no rows, but all facts."""
+    file = TextFile(path)
+    about, dialect, start = _begin(file, names)
+    table = Table(path, dialect, names.time)
+    rasters: dict[str, list[str]] | None = None
+    count = 0
+    part: Recording | None = None
+    for body in file.blocks(start, size):
+        frame = table.parse(body)
+        log = _log(path, dialect, frame, table.flags, about, {}, rasters)
+        rasters = {k: list(g.signals) for k, g in log.groups.items()}
+        count += frame.height
+        part = Recording(log)
+        yield part
+    if not count or part is None:
         raise LogError(f"{path}: no samples: no complete row whose time is a number")
-    notes += [*facts.pop("notes", ()), *told.pop("notes", ())]
-    facts |= told | ({"notes": notes} if notes else {})
-    return Recording(_log(path, dialect, frame, flags, about, facts))
+    facts = {**part.log.facts, **_facts(file, dialect, table)}
+    groups = {k: Group(k, g.frame.clear(), g.signals) for k, g in part.log.groups.items()}
+    yield Recording(Log(part.log.name, groups, part.log.events, facts))
 
 
-def _about(path: Path, data: bytes) -> tuple[dict[str, Any], bytes]:
-    """What :func:`write` put into the first line, and the rest of the file."""
-    if not data.startswith(_OWN):
-        return {}, data
-    line, _, rest = data.partition(b"\n")
-    return parse_about(f"{path}, first line", line.removeprefix(_OWN)), rest
+def _begin(file: TextFile, names: NameMap) -> tuple[dict[str, Any], Dialect, int]:
+    """What :func:`write` put into the first line, the dialect, and the byte at which the data begin."""
+    size = HEAD
+    head = file.head(size)
+    while head.startswith(_OWN) and head.count(b"\n") < 2 and len(head) >= size:
+        size *= 2
+        head = file.head(size)
+    about: dict[str, Any] = {}
+    skip = 0
+    if head.startswith(_OWN):
+        line, _, head = head.partition(b"\n")
+        skip = len(line) + 1
+        about = parse_about(f"{file.path}, first line", line.removeprefix(_OWN))
+    dialect = sniff(str(file.path), head.rstrip(b"\0"), names.time)
+    return about, dialect, skip + dialect.start
 
 
-def _as_utf8(data: bytes) -> tuple[bytes, list[str]]:
-    """Text as UTF-8 without byte order mark, and notes on what had to be done."""
-    if data[:2] in _UTF_16:
-        data = data[: len(data) // 2 * 2].decode("utf-16", "replace").encode()
-    data = data.removeprefix(b"\xef\xbb\xbf")
-    notes = []
-    if data.endswith(b"\0"):
-        data = data.rstrip(b"\0")
-        notes.append("zero bytes at the end, as a crashed logger leaves them, were dropped")
-    try:
-        data[:HEAD].decode()
-    except UnicodeDecodeError as error:
-        if error.end < min(HEAD, len(data)):  # else only the last character is cut
-            data = data.decode("latin-1").encode()
-    return data, notes
-
-
-def _whole_lines(body: bytes, dialect: Dialect) -> tuple[bytes, dict[str, list[str]]]:
-    """The lines that have an end, and facts about one that has none."""
-    if body.endswith(b"\n") or not body:
-        return body, {}
-    end = body.rfind(b"\n") + 1
-    fields = body[end:].count(dialect.separator.encode()) + 1
-    dropped = "the last line has no line end and was dropped: "
-    if fields < len(dialect.columns):
-        return body[:end], {"salvaged": [f"{dropped}{fields} of {len(dialect.columns)} fields"]}
-    return body[:end], {"notes": [f"{dropped}it may be cut in a number"]}
-
-
-def _short_rows(body: bytes, dialect: Dialect) -> list[str]:
-    """A note on rows with fewer fields than names; they read as if the last cells were empty."""
-    if b'"' in body:
-        return []  # a quoted separator is none
-    characters = np.frombuffer(body, np.uint8)
-    ends = np.flatnonzero(characters == ord("\n"))
-    separators = np.flatnonzero(characters == ord(dialect.separator))
-    fields = np.diff(np.searchsorted(separators, ends), prepend=0) + 1
-    blank = np.diff(ends, prepend=-1) <= 2
-    width = len(dialect.columns) - (not dialect.columns[-1].written)
-    short = int(((fields < width) & ~blank).sum())
-    return [f"{short} rows have fewer fields than the {width} names"] if short else []
-
-
-def _parse(path: Path, body: bytes, dialect: Dialect, dtype: type[pl.DataType], *only: int) -> pl.DataFrame:
-    try:
-        return pl.read_csv(
-            body,
-            has_header=False,
-            schema=dict.fromkeys((c.name for c in dialect.columns), dtype),
-            columns=list(only) or None,
-            separator=dialect.separator,
-            decimal_comma=dialect.decimal_comma,
-            ignore_errors=True,
-            encoding="utf8-lossy",
+def _facts(file: TextFile, dialect: Dialect, table: Table) -> dict[str, Any]:
+    """What the whole file has shown."""
+    facts = table.clock.facts
+    notes = [*file.notes, *facts.pop("notes", ()), *table.notes()]
+    salvaged = table.salvaged()
+    rest = file.remainder.strip()
+    if rest:
+        fields = rest.count(dialect.separator.encode()) + 1
+        dropped = "the last line has no line end and was dropped: "
+        if fields < len(dialect.columns):
+            salvaged.append(f"{dropped}{fields} of {len(dialect.columns)} fields")
+        else:
+            notes.append(f"{dropped}it may be cut in a number")
+    if not dialect.named:
+        notes.append(f"the file names no channels: they are {dialect.columns[0].name} and so on, in order")
+    if dialect.time is None and table.clock.wanted.rate is None:
+        notes.append(
+            "no time column: rows are counted as 1 s each; [time] rate = ... in a map, or --rate, gives the "
+            "rows per second, [time] source = ... a column of time"
         )
-    except pl.exceptions.ComputeError as error:
-        raise _ragged(path, body, dialect) or LogError(f"{path}: not a readable table: {error}") from error
-
-
-def _ragged(path: Path, body: bytes, dialect: Dialect) -> LogError | None:
-    width = len(dialect.columns)
-    for number, line in enumerate(body.split(b"\n"), 1):
-        fields = line.count(dialect.separator.encode()) + 1
-        if fields > width and b'"' not in line:
-            return LogError(
-                f"{path}: row {number} of the data has {fields} fields, but there are {width} names; "
-                f"the separator is {dialect.separator!r}: {line[:60].decode('utf-8', 'replace')!r}"
-            )
-    return None
-
-
-def _second_look(
-    path: Path, body: bytes, dialect: Dialect, frame: pl.DataFrame
-) -> tuple[pl.DataFrame, dict[str, str]]:
-    """Columns with cells that were not numbers, read again as text; flags by column."""
-    flags = {}
-    doubtful = [i for i, c in enumerate(frame.columns) if frame[c].null_count()]
-    for text in _parse(path, body, dialect, pl.String, *doubtful).get_columns() if doubtful else ():
-        text = text.str.strip_chars()
-        text = text.set(text.str.to_lowercase().is_in(MISSING), None)
-        plain = text.str.replace(",", ".", literal=True) if dialect.decimal_comma else text
-        number = frame[text.name].fill_null(plain.cast(pl.Float64, strict=False))
-        words = text.filter(number.is_null() & text.is_not_null())
-        if len(words) and number.null_count() == len(number):
-            number = parse_dates(text) if text.name == TIME else text
-        elif len(words):
-            example = Counter(words.to_list()).most_common(1)[0][0]
-            flags[text.name] = f"{len(words)} cells are not numbers, such as {example!r}"
-        frame = frame.with_columns(number)
-    return frame, flags
+    return facts | {k: v for k, v in (("notes", notes), ("salvaged", salvaged)) if v}
 
 
 def _log(
@@ -189,17 +130,18 @@ def _log(
     flags: dict[str, str],
     about: dict[str, Any],
     facts: dict[str, Any],
+    rasters: dict[str, list[str]] | None,
 ) -> Log:
     known = about.get("signals", {})
     signals = {}
-    for column in dialect.columns:
+    for i, column in enumerate(dialect.columns):
         values = frame[column.name]
         nameless = not column.written and values.null_count() == len(values)
-        if column.name != TIME and not nameless:  # a separator at the end of each line makes a nameless one
-            signals[column.name] = _signal(column, values, flags, known.get(column.name, {}))
-    parts = {k: g["signals"] for k, g in about.get("groups", {GROUP: {"signals": list(signals)}}).items()}
+        if i not in (dialect.time, dialect.date) and not nameless:  # a separator at the end of each line
+            signals[column.name] = _signal(column, dialect, values, flags, known.get(column.name, {}))
+    parts = rasters or {k: g["signals"] for k, g in about.get("groups", {}).items()}
     if sorted(signals) != sorted(c for columns in parts.values() for c in columns):
-        parts = {GROUP: list(signals)}  # edited since we wrote it
+        parts = _rasters(frame, list(signals))  # also of a file edited since we wrote it
     groups = {}
     for name, columns in parts.items():
         part = frame.select(TIME, *columns)
@@ -207,20 +149,34 @@ def _log(
             part = part.filter(pl.any_horizontal(pl.col(columns).is_not_null()))
         groups[name] = Group(name, part, {c: signals[c] for c in columns})
     above = {"head": list(dialect.above)} if any(dialect.above) else {}
-    facts = {**about.get("facts", {}), **above, **facts}
     events = tuple(Event(**e) for e in about.get("events", ()))
-    return Log(about.get("name", path.stem), groups, events, facts)
+    return Log(about.get("name", path.stem), groups, events, {**about.get("facts", {}), **above, **facts})
 
 
-def _signal(column: Column, values: pl.Series, flags: dict[str, str], known: dict[str, str]) -> Signal:
+def _rasters(frame: pl.DataFrame, columns: list[str]) -> dict[str, list[str]]:
+    """Columns by raster: those that are mostly empty in the same rows belong together."""
+    sparse: dict[bytes, list[str]] = {b"": []}
+    for column in columns:
+        values = frame[column]
+        present = len(values) - values.null_count()
+        own = len(values) >= _ENOUGH and 0 < present < _SPARSE * len(values)
+        sparse.setdefault(values.is_not_null().to_numpy().tobytes() if own else b"", []).append(column)
+    members = [m for m in sparse.values() if m] or [[]]
+    return {GROUP if i == 0 else f"{GROUP}_{i + 1}": m for i, m in enumerate(members)}
+
+
+def _signal(
+    column: Column, dialect: Dialect, values: pl.Series, flags: dict[str, str], known: dict[str, str]
+) -> Signal:
     state = values.dtype == pl.String
+    found = (flags.get(column.name), None if dialect.named else NAMELESS)
     signal = Signal(
         name=column.name,
         unit=column.unit,
         kind="state" if state else "continuous",
         resample="hold" if state else "linear",
         source_name=column.written if column.written != column.name else None,
-        flags=(flags[column.name],) if column.name in flags else (),
+        flags=tuple(f for f in found if f),
     )
     return Signal.from_metadata(column.name, {**signal.to_metadata(), **known})
 

@@ -23,6 +23,7 @@ from mcap.records import Channel, Schema
 from mcap.writer import MCAP0_MAGIC
 
 from ingest.about import about_json, parse_about
+from ingest.clock import iso
 from ingest.errors import LogError
 from ingest.log import Event, Group, Log
 from ingest.maps import NameMap
@@ -154,7 +155,7 @@ def _log(path: Path, file: McapFile, parts: dict[int, list[Part]], names: NameMa
     if not groups and not about:
         raise LogError(f"{path}: no channel can be read: {'; '.join(notes) or 'there are none'}")
     facts = dict(about.get("facts", {}))
-    facts |= {"start_time": str(np.datetime64(start, "ns"))} if start > _EPOCH else {}
+    facts |= {"start_time": iso(start)} if start > _EPOCH else {}
     facts |= {"notes": notes} if notes else {}
     order = [g for g in about.get("groups", ()) if g in groups]
     groups = {k: groups[k] for k in dict.fromkeys([*order, *groups])}

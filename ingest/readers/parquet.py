@@ -15,7 +15,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ingest.about import about_json, parse_about
-from ingest.clock import no_time, time_column, with_time
+from ingest.clock import Clock, no_time, time_column
 from ingest.errors import LogError
 from ingest.log import TIME, Event, Group, Log, Signal
 from ingest.maps import NameMap
@@ -95,7 +95,9 @@ def _foreign(path: Path, names: NameMap, file: pq.ParquetFile, rows: bool) -> Lo
         raise LogError(
             f"{path}: the map makes {clock!r} the time, but there is a {TIME!r} column too; rename it"
         )
-    frame, facts = with_time(str(path), frame.select(clock, *usable), clock, signals[clock].unit, names.time)
+    known = Clock(str(path), signals[clock].unit, names.time)
+    frame = known.timed(frame.select(clock, *usable), clock)
+    facts = known.facts
     if rows and frame.is_empty():
         raise LogError(f"{path}: no samples: no row has a time")
     if notes := [*facts.get("notes", ()), *skipped]:

@@ -9,10 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ingest import read_log
+from ingest.blocks import join
 from ingest.errors import LogError
 from ingest.files import read_header
 from ingest.log import Log
 from ingest.maps import NameMap, TimeMap
+from ingest.readers import csv
 
 
 def read(folder: Path, content: str | bytes, names: NameMap | None = None) -> Log:
@@ -96,9 +98,9 @@ def test_time_column_and_its_unit(tmp_path: Path, header: str, cells: str, expec
 @pytest.mark.parametrize(
     ("cells", "start", "expected"),
     [
-        (("2024-05-01T12:00:00.500Z", "2024-05-01T12:00:01.000Z"), "2024-05-01 12:00:00.500", [0.0, 0.5]),
-        (("2024-05-01 23:59:59,75", "2024-05-02 00:00:00,00"), "2024-05-01 23:59:59.750", [0.0, 0.25]),
-        (("01.05.2024 12:00:00", "01.05.2024 12:01:00"), "2024-05-01 12:00:00", [0.0, 60.0]),
+        (("2024-05-01T12:00:00.500Z", "2024-05-01T12:00:01.000Z"), "2024-05-01T12:00:00.5", [0.0, 0.5]),
+        (("2024-05-01 23:59:59,75", "2024-05-02 00:00:00,00"), "2024-05-01T23:59:59.75", [0.0, 0.25]),
+        (("01.05.2024 12:00:00", "01.05.2024 12:01:00"), "2024-05-01T12:00:00", [0.0, 60.0]),
         (("00:00:01.5", "00:01:00.0"), None, [1.5, 60.0]),
         (("12:00:00", "noon"), None, [43200.0]),
     ],
@@ -126,7 +128,8 @@ def test_states_missing_cells_and_unreadable_ones(tmp_path: Path) -> None:
     assert frame["gear"].to_list() == ["D", "N", None, "D", None]
     assert (log.signals["gear"].kind, log.signals["gear"].resample) == ("state", "hold")
     assert frame["p"].to_list() == [1.5, 2.0, None, None, 5.0]
-    assert log.signals["p"].flags == ("2 cells are not numbers, such as 'ERR'",)
+    assert log.signals["p"].flags == ("cells are not numbers, such as 'ERR'",)
+    assert log.facts["notes"] == ["p: 2 cells are not numbers, such as 'ERR'"]
     assert frame["q"].to_list() == [None, 1.0, None, None, None]
     assert log.signals["q"].flags == ()
 
@@ -182,12 +185,10 @@ def test_names_that_are_not_unique_or_not_there(tmp_path: Path) -> None:
         ("time,a\n", r"no samples: below the names 'time,a'"),
         ("time,a\ns,kPa\n", "no samples"),
         ("time,a\n0,1", "no complete row|no samples"),
-        ("1,2\n3,4\n", "no row of names"),
         ("hello\nworld\n", "not a table"),
         ("tiem,a\n0,1\n", r"no time column.*did you mean tiem"),
         ("time [kPa],a\n0,1\n", r"time column 'time \[kPa\]'.*absolute pressure"),
-        ("time,a\n0,1\n1,2,3\n", r"row 2 of the data has 3 fields, but there are 2 names"),
-        ("time,a\n0,1\n1,2\n# dynoscope\n2,3,4,5\n", "row 4 of the data has 4 fields"),
+        ("time,a\n0,1\n1,2,3\n2,3,4\n", r"row 2 of the data has 3 fields, but there are 2 names"),
         ("# dynoscope {broken\ntime,a\n0,1\n", "first line.*damaged"),
         ('# dynoscope {"version": 99}\ntime,a\n0,1\n', "newer dynoscope"),
     ],
@@ -204,3 +205,102 @@ def test_header_without_rows(tmp_path: Path) -> None:
     assert log.groups["data"].frame.schema == {"time": pl.Float64, "p_Bst": pl.Float64}
     assert log.signals["p_Bst"].source_unit == "bar"
     assert log.groups["data"].frame.is_empty()
+
+
+def test_numbers_without_names(tmp_path: Path) -> None:
+    text = "1.5,2\n3,4\n"
+    log = read(tmp_path, text)
+    assert log.groups["data"].frame.rows() == [(0.0, 1.5, 2.0), (1.0, 3.0, 4.0)]
+    assert log.signals["c01"].flags == ("no name in the file",)
+    assert "names no channels" in log.facts["notes"][0]
+    assert "rows are counted as 1 s each" in log.facts["notes"][1]
+    timed = read(tmp_path, text, NameMap(time=TimeMap(rate=10.0)))
+    assert timed.groups["data"].time.tolist() == [0.0, 0.1]
+    assert len(timed.facts["notes"]) == 1
+    chosen = read(tmp_path, text, NameMap(time=TimeMap(source=("c01",), unit="ms")))
+    assert chosen.groups["data"].frame.rows() == [(0.0015, 2.0), (0.003, 4.0)]
+    named = read(tmp_path, "a,b\nV,A\n1,2\n", NameMap(time=TimeMap(rate=4.0)))
+    assert (list(named.signals), named.signals["b"].unit) == (["a", "b"], "A")
+
+
+@pytest.mark.parametrize(
+    ("rows", "start", "expected"),
+    [
+        (("01.05.2024;23:59:59,5", "02.05.2024;00:00:00,5"), "2024-05-01T23:59:59.5", [0.0, 1.0]),
+        (("5/1/2024;11:59:59 PM", "5/2/2024;12:00:01 AM"), "2024-05-01T23:59:59", [0.0, 2.0]),
+        (("13/5/2024;10:00", "13/5/2024;10:01"), "2024-05-13T10:00:00", [0.0, 60.0]),
+    ],
+)
+def test_date_and_time_in_two_columns(
+    tmp_path: Path, rows: tuple[str, str], start: str, expected: list[float]
+) -> None:
+    log = read(tmp_path, f"Datum;Zeit;a\n{rows[0]};1,5\n{rows[1]};2,5\n")
+    assert log.groups["data"].frame.to_dict(as_series=False) == {"time": expected, "a": [1.5, 2.5]}
+    assert log.facts["start_time"] == start
+
+
+@pytest.mark.parametrize(
+    ("separator", "cells", "expected"),
+    [
+        (";", ("1.234,5", "1.234", "7"), [1234.5, 1234.0, 7.0]),
+        (";", ("1 234,5", "12'345", "-7 000"), [1234.5, 12345.0, -7000.0]),
+        (",", ('"1,234.5"', '"1,234"', "7"), [1234.5, 1234.0, 7.0]),
+        (",", ('"1,234,567"', "2", "7"), [1234567.0, 2.0, 7.0]),
+        (",", ('"1,234"', "2", "7"), [None, 2.0, 7.0]),
+        (";", ("1.234", "2,5", "7"), [None, 2.5, 7.0]),
+        (";", ("1.234", "2.5", "0,5"), [1.234, 2.5, 0.5]),
+    ],
+)
+def test_thousands(tmp_path: Path, separator: str, cells: tuple[str, ...], expected: list[float]) -> None:
+    comma = "," if separator == ";" else "."
+    rows = "".join(f"{i}{comma}5{separator}{cell}\n" for i, cell in enumerate(cells))
+    log = read(tmp_path, f"time{separator}a\n{rows}")
+    assert log.groups["data"].frame["a"].to_list() == expected
+    assert bool(log.signals["a"].flags) == (None in expected), "what could be two numbers is none, and told"
+
+
+def test_columns_by_spaces(tmp_path: Path) -> None:
+    log = read(tmp_path, "Bench 4\n  time   p_Bst\n    s     kPa\n  0.0   100.0 \n  0.5    99.25\n")
+    assert log.groups["data"].frame.rows() == [(0.0, 100.0), (0.5, 99.25)]
+    assert log.signals["p_Bst"].unit == "kPa"
+
+
+def test_several_rasters_with_empty_cells_are_taken_apart(tmp_path: Path) -> None:
+    rows = [f"{i / 100},{i},{i if i % 10 == 0 else ''},{-i if i % 10 == 0 else ''}" for i in range(200)]
+    log = read(tmp_path, "time,fast,slow,slow2\n" + "\n".join(rows) + "\n")
+    assert {k: (list(g.signals), g.frame.height) for k, g in log.groups.items()} == {
+        "data": (["fast"], 200),
+        "data_2": (["slow", "slow2"], 20),
+    }
+    assert log.groups["data_2"].frame["slow"].to_list() == [float(i) for i in range(0, 200, 10)]
+    assert log.groups["data_2"].rate_hz == pytest.approx(10.0)
+
+
+def test_a_row_with_too_many_fields_is_dropped_and_told(tmp_path: Path) -> None:
+    text = "time,a\n" + "".join(f"{i},{i}\n" for i in range(300)).replace("\n150,", "\n150,9,9,9,")
+    log = read(tmp_path, text)
+    assert log.values("a").tolist() == [float(i) for i in range(300) if i != 150]
+    assert "1 rows have too many fields and were dropped: row 151 of the data has 5" in log.facts["salvaged"][0]
+
+
+BLOCKED = "Zeit;p;word\nms;bar;\n" + "".join(
+    f"{i * 10},5;{'ERR' if i == 77 else f'{i},25'};{'on' if i % 3 else 'off'}\n" for i in range(120)
+)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "latin-1"])
+@pytest.mark.parametrize("tail", ["", "1210,5;1", "\0\0\0"])
+@pytest.mark.parametrize("size", [40, 333, None])
+def test_parts_make_the_whole(tmp_path: Path, encoding: str, tail: str, size: int | None) -> None:
+    path = tmp_path / "x.csv"
+    path.write_bytes((f"Prüfstand\n{BLOCKED}{tail}").encode(encoding))
+    parts = [p.log for p in csv.blocks(path, NameMap(), size)]
+    whole = join(parts)
+    assert len(parts) > 2 or size is None
+    assert whole.groups["data"].frame["time"].to_list() == pytest.approx([0.01 * i + 5e-4 for i in range(120)])
+    assert whole.groups["data"].frame["p"].to_list() == [i + 0.25 if i != 77 else None for i in range(120)]
+    assert whole.groups["data"].frame["word"].to_list() == ["on" if i % 3 else "off" for i in range(120)]
+    assert whole.signals["p"].flags == ("cells are not numbers, such as 'ERR'",)
+    assert ("salvaged" in whole.facts) == tail.startswith("1")
+    assert len(whole.facts["notes"]) == 1 + tail.startswith("\0")
+    assert read_log(path).groups["data"].frame.equals(whole.groups["data"].frame)

@@ -51,7 +51,7 @@ def test_files_of_others(tmp_path: Path) -> None:
     assert log.name == "y"
     assert log.groups["data"].frame.rows() == [(0.1, 100.0, "a"), (0.0, 200.0, "b"), (0.2, 300.0, "a")]
     assert log.groups["data"].frame.schema["p_Bst"] == pl.Float32
-    assert log.facts["start_time"] == str(start)
+    assert log.facts["start_time"] == start.isoformat()
     assert "1 rows without a time" in log.facts["notes"][0]
     assert "'spectrum' was skipped" in log.facts["notes"][1]
     head = read_header(tmp_path / "y.parquet", NameMap(time=TimeMap(source=("stamp",))))
