@@ -56,6 +56,15 @@ def test_models_learn_from_training_and_spreads_from_calibration(
     assert not all(v for k, v in same.items() if k not in models)
 
 
+def test_held_out_quarters_were_not_seen(held_out: Detector, healthy: list[Log], recipe: Recipe) -> None:
+    """So their residuals spread more than those of samples that the models have seen."""
+    seen = fit(healthy[:1], recipe, healthy[:1])
+    one, two = (diagnose(healthy[0], d).samples for d in (held_out, seen))
+    sigmas = [c for c in one.columns if c.startswith("sigma.")]
+    wider = [np.nanmedian((one[c] / two[c]).to_numpy()) for c in sigmas]
+    assert np.mean(wider) > 1.02
+
+
 def test_fitting_twice_learns_the_same_to_the_bit(
     held_out: Detector, healthy: list[Log], recipe: Recipe
 ) -> None:
