@@ -3,26 +3,32 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 from ingest.errors import LogError
-from ingest.log import Log
+from ingest.log import Log, Signal
 
 VERSION = 1
 
 
-def about_json(log: Log, **more: Any) -> str:
-    """Name, groups with their rows and signals, and facts of ``log``, and what a format has no place for.
+def about_json(log: Log, rows: Mapping[str, int] | None = None, **more: Any) -> str:
+    """Name, groups with rows and signals, flags and facts of ``log``, and what a format has no place for.
+
+    ``rows`` of each group, where ``log`` does not hold them any more.
 
     Raises:
         LogError: a fact is not a JSON value.
     """
-    groups = {k: {"rows": g.frame.height, "signals": list(g.signals)} for k, g in log.groups.items()}
+    rows = rows or {k: g.frame.height for k, g in log.groups.items()}
+    groups = {k: {"rows": rows[k], "signals": list(g.signals)} for k, g in log.groups.items()}
     about = {
         "version": VERSION,
         "name": log.name,
         "groups": groups,
         "facts": dict(log.facts),
+        "flags": {n: list(s.flags) for n, s in log.signals.items() if s.flags},
         **more,
     }
     try:
@@ -49,3 +55,8 @@ def parse_about(where: str, text: str | bytes) -> dict[str, Any]:
             f"{where} was written by a newer dynoscope (format {version}, known {VERSION}); update dynoscope"
         )
     return about
+
+
+def with_flags(signals: Mapping[str, Signal], about: Mapping[str, Any]) -> dict[str, Signal]:
+    """Signals with the flags they had in the end; a column's own metadata are written before the rows."""
+    return {n: replace(s, flags=tuple(about["flags"].get(n, ()))) for n, s in signals.items()}

@@ -168,7 +168,8 @@ def parse_dates(text: pl.Series) -> pl.Series:
 
     >>> parse_dates(pl.Series(["2024-05-01T12:00:00.5Z", None])).dt.to_string("%H:%M:%S%.3f").to_list()
     ['12:00:00.500', None]
-    >>> Clock("x", None, TimeMap()).seconds(parse_dates(pl.Series("t", ["00:01:00", "25:01:00,25"]))).to_list()
+    >>> elapsed = parse_dates(pl.Series("t", ["00:01:00", "25:01:00,25"]))
+    >>> Clock("x", None, TimeMap()).seconds(elapsed).to_list()
     [60.0, 90060.25]
     """
     plain = text.str.strip_suffix("Z").str.replace("T", " ", literal=True).str.replace(",", ".", literal=True)

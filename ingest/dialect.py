@@ -21,9 +21,7 @@ from ingest.units import find_unit
 SEPARATORS = (";", "\t", ",", "|", " ")
 NAMELESS = "no name in the file"
 _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?")
-_DATE = re.compile(
-    r"(\d{1,4}[-./]\d{1,2}[-./]\d{1,4}[T ])?(\d+:)?\d{1,2}:\d\d([.,]\d+)?( ?[AaPp][Mm])?Z?"
-)
+_DATE = re.compile(r"(\d{1,4}[-./]\d{1,2}[-./]\d{1,4}[T ])?(\d+:)?\d{1,2}:\d\d([.,]\d+)?( ?[AaPp][Mm])?Z?")
 _COMMA_NUMBER = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
 _LOOK_AHEAD = 8  # rows between names and data: units, rasters, descriptions
 _SEARCHED = 500  # lines in which the row of names is looked for
@@ -141,9 +139,7 @@ def _unit_row(rows: Sequence[Sequence[str]]) -> Sequence[str]:
     return rows[1 + known.index(max(known))] if any(known) else ()
 
 
-def _columns(
-    names: Sequence[str], units: Sequence[str], width: int, clock: int | None
-) -> tuple[Column, ...]:
+def _columns(names: Sequence[str], units: Sequence[str], width: int, clock: int | None) -> tuple[Column, ...]:
     columns: list[Column] = []
     taken = {TIME}
     for i in range(width):

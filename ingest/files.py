@@ -6,10 +6,12 @@ import hashlib
 import os
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
-from dataclasses import replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import closing, contextmanager, suppress
+from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
+from functools import partial
 from glob import glob, has_magic
 from pathlib import Path
 from typing import cast
@@ -17,10 +19,11 @@ from urllib.parse import unquote, urlsplit
 
 import polars as pl
 
+from ingest.blocks import join
 from ingest.errors import LogError, did_you_mean
 from ingest.log import Log
 from ingest.maps import NameMap, apply_map, load_map
-from ingest.readers import FORMATS, Reader, Recording, Writer, reader
+from ingest.readers import FORMATS, Reader, Recorder, Recording, Streamer, Writer, reader
 
 WRITERS = {".mcap": "mcap", ".parquet": "parquet", ".csv": "csv"}
 """Suffix -> format, for those formats that can be written."""
@@ -38,13 +41,32 @@ def read_log(path: str | Path, map: NameMap | str | Path | None = None) -> Log:
         UnitError: a canonical signal is in a unit that cannot be converted.
     """
     path, names = Path(path), _names(map)
-    with _readable(path):
+    with _readable(path), ThreadPoolExecutor(1) as pool:
+        digest = pool.submit(sha256, path)
         name, module = _format(path)
-        found = module.read(path, names)
-        if not found.ours:
-            source = {"file": path.name, "format": name, "sha256": sha256(path)}
-            found = Recording(replace(found.log, facts={**source, **found.log.facts}))
+        found = _with_source(module.read(path, names), path, name, digest)
     return _canonical(found, names, map is not None)
+
+
+def read_blocks(path: str | Path, map: NameMap | str | Path | None = None) -> Iterator[Log]:
+    """Reads a log in parts of consecutive rows (see :mod:`ingest.blocks`), each as :func:`read_log` would.
+
+    Formats that cannot be read in parts come as one.
+
+    Raises:
+        LogError, MapError, UnitError: as :func:`read_log`.
+    """
+    path, names = Path(path), _names(map)
+    with _readable(path), ThreadPoolExecutor(1) as pool:
+        digest = pool.submit(sha256, path)
+        name, module = _format(path)
+        parts = (
+            cast(Streamer, module).blocks(path, names)
+            if hasattr(module, "blocks")
+            else [module.read(path, names)]
+        )
+        for part in parts:
+            yield _canonical(_with_source(part, path, name, digest), names, map is not None)
 
 
 def read_header(path: str | Path, map: NameMap | str | Path | None = None) -> Log:
@@ -58,31 +80,67 @@ def read_header(path: str | Path, map: NameMap | str | Path | None = None) -> Lo
     return _canonical(found, names, map is not None)
 
 
-def write_log(log: Log, path: str | Path) -> Path:
+def write_log(log: Log, path: str | Path, attachments: Mapping[str, bytes] | None = None) -> Path:
     """Writes a log; the suffix picks the format. The file appears whole or not at all.
 
     MCAP and Parquet keep everything: values, types, signals, events, facts, the order of the groups, the
-    name. CSV keeps all but the types.
+    name. CSV keeps all but the types. MCAP takes ``attachments`` (file name -> content) along.
 
     Raises:
         LogError: no such format, a type or fact that a log cannot hold, or the file cannot be written.
     """
     path = Path(path)
+    with recording(path, log) as recorder:
+        recorder.add(log)
+        recorder.finish(log, attachments or {})
+    return path
+
+
+@contextmanager
+def recording(path: Path, first: Log) -> Iterator[Recorder]:
+    """What writes a log like ``first`` to ``path`` part by part; the file appears once all is well.
+
+    Raises:
+        LogError: as :func:`write_log`.
+    """
     if path.suffix.lower() not in WRITERS:
         raise LogError(f"{path}: cannot write {path.suffix!r} files; {did_you_mean(path.suffix, WRITERS)}")
-    _check_types(log)
-    writer = cast(Writer, reader(WRITERS[path.suffix.lower()]))
+    _check_types(first)
+    module = reader(WRITERS[path.suffix.lower()])
+    make = getattr(module, "Recorder", partial(_AtOnce, cast(Writer, module)))
     aside = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        writer.write(log, aside)
+        with closing(make(aside, first)) as recorder:
+            yield recorder
         aside.replace(path)
     except OSError as error:
         raise LogError(f"{path} cannot be written: {error.strerror or error}") from error
     finally:
         with suppress(OSError):
             aside.unlink(missing_ok=True)
-    return path
+
+
+@dataclass
+class _AtOnce:
+    """A recorder for a format that is written at once: it keeps the parts until then."""
+
+    writer: Writer
+    path: Path
+    first: Log
+    parts: list[Log] = field(default_factory=list)
+
+    def add(self, part: Log) -> None:
+        self.parts.append(part)
+
+    def finish(self, whole: Log, attachments: Mapping[str, bytes]) -> None:
+        log = join(self.parts)
+        signals = whole.signals
+        groups = {k: replace(g, signals={s: signals[s] for s in g.signals}) for k, g in log.groups.items()}
+        self.writer.write(replace(whole, groups=groups), self.path)
+
+    def close(self) -> None:
+        self.parts.clear()
 
 
 def find_logs(patterns: Iterable[str | Path]) -> list[Path]:
@@ -137,6 +195,14 @@ def _check_types(log: Log) -> None:
 
 def _names(map: NameMap | str | Path | None) -> NameMap:
     return map if isinstance(map, NameMap) else NameMap() if map is None else load_map(map)
+
+
+def _with_source(found: Recording, path: Path, name: str, digest: Future[str]) -> Recording:
+    """Notes the file and its digest, unless the log is one of ours, which knows its source."""
+    if found.ours:
+        return found
+    source = {"file": path.name, "format": name, "sha256": digest.result()}
+    return Recording(replace(found.log, facts={**source, **found.log.facts}))
 
 
 def _canonical(found: Recording, names: NameMap, mapped: bool) -> Log:

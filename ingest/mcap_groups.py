@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 import polars as pl
 from mcap.records import Channel, Schema
-from numpy.typing import NDArray
 
 from ingest.clock import Clock
 from ingest.log import TIME, Group, Signal
@@ -31,7 +30,7 @@ Row = tuple[int, Mapping[str, Any]]
 class Part:
     """Consecutive rows of a channel: as columns, or as messages with their log times."""
 
-    columns: dict[str, NDArray[Any]] = field(default_factory=dict)
+    columns: dict[str, pl.Series] = field(default_factory=dict)
     messages: list[tuple[int, bytes]] = field(default_factory=list)
 
     @property
@@ -49,7 +48,7 @@ def channel_of(group: Group, number: int, message: str) -> tuple[Schema, Channel
         if column.name != TIME:
             about |= group.signals[column.name].to_metadata()
         metadata |= {f"{key}.{name}": value for key, value in about.items()}
-    layout = Layout(number, f"dynoscope.{message}", {f: field_type(c) for f, c in fields.items()})
+    layout = Layout(number, f"dynoscope.{message}", {f: field_type(c.dtype) for f, c in fields.items()})
     schema = Schema(id=number, name=layout.message, encoding="protobuf", data=layout.descriptor())
     return schema, Channel(number, f"/{group.name}", "protobuf", metadata, number), layout
 

@@ -3,8 +3,8 @@
 A message whose fields are all present and of fixed size has a fixed length on the wire, so a chunk of ``n``
 rows is a matrix of ``n`` equal records: constant bytes (opcode, length, channel, field tags) from a template,
 and at fixed offsets sequence, times and values. numpy sees it as a structured array, written and read column
-by column. Missing numbers are NaN, so that no field is ever left out. Rows with text, or with integers that
-no double holds, have no fixed length; they go through the protobuf library.
+by column. Missing numbers are NaN, so that no field is left out. Text follows the fixed part of its row (see
+:mod:`ingest.mcap_text`). Only rows that lack a 64-bit integer go through the protobuf library.
 """
 
 from __future__ import annotations
@@ -24,33 +24,29 @@ from google.protobuf.message_factory import GetMessageClass
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
+from ingest.mcap_text import encode_text, interleave, take_apart, varint
 from ingest.mcap_writer import Batch
 
 CHUNK_BYTES = 1 << 20
-_EXACT = 1 << 53  # integers up to here are doubles
 _HEAD = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log time, publish time
-_CONSTANT = 11  # bytes of the head that are the same in every record of a channel
-_FIXED = {"float": ("<f4", 5), "double": ("<f8", 1)}  # numpy type and protobuf wire type
+_FIXED = {  # numpy type and protobuf wire type
+    "float": ("<f4", 5), "double": ("<f8", 1), "sfixed64": ("<i8", 1), "fixed64": ("<u8", 1),
+}  # fmt: skip
 _RAW = {
     "float": pl.Float32,
     "double": pl.Float64,
     "string": pl.String,
-    "int64": pl.Int64,
-    "uint64": pl.UInt64,
+    "sfixed64": pl.Int64,
+    "fixed64": pl.UInt64,
 }
 _PROTO = {t: getattr(FieldDescriptorProto, f"TYPE_{t.upper()}") for t in _RAW}
 
 
-def field_type(values: pl.Series) -> str:
+def field_type(dtype: pl.DataType) -> str:
     """The protobuf type that holds a column exactly: a float or double wherever possible."""
-    if values.dtype == pl.String:
-        return "string"
-    if values.dtype in (pl.Float32, pl.Int8, pl.Int16, pl.UInt8, pl.UInt16, pl.Boolean):
+    if dtype in (pl.Float32, pl.Int8, pl.Int16, pl.UInt8, pl.UInt16, pl.Boolean):
         return "float"
-    ends = [e for e in (values.min(), values.max()) if isinstance(e, int)]
-    if any(abs(e) > _EXACT for e in ends):
-        return "int64" if values.dtype == pl.Int64 else "uint64"
-    return "double"
+    return {pl.String: "string", pl.Int64: "sfixed64", pl.UInt64: "fixed64"}.get(dtype, "double")  # type: ignore[call-overload,no-any-return]
 
 
 def field_names(columns: Iterable[str]) -> list[str]:
@@ -100,72 +96,97 @@ class Layout:
             message.field.add(name=field, number=number, type=_PROTO[kind], label=label)
         return bytes(files.SerializeToString())
 
-    @property
-    def fixed(self) -> bool:
-        """Whether every row has the same length."""
-        return all(t in _FIXED for t in self.fields.values())
+    @cached_property
+    def texts(self) -> dict[str, bytes]:
+        """Fields of text and their tags on the wire."""
+        return {f: _tag(n, 2) for n, (f, t) in enumerate(self.fields.items(), 1) if t == "string"}
 
     @cached_property
     def record(self) -> tuple[np.dtype[np.void], NDArray[np.uint8], NDArray[np.uint8]]:
-        """Record as numpy type, its bytes with zeros for what varies, and 255 where a byte is constant."""
-        template, constant = bytearray(_HEAD.size), bytearray(b"\xff" * _CONSTANT)
-        constant += bytes(_HEAD.size - _CONSTANT)
-        places = {"sequence": ("<u4", 11), "log_time": ("<u8", 15), "publish_time": ("<u8", 23)}
+        """Fixed part of a record as numpy type, its bytes with 0 for what varies, and 255 for constants."""
+        template, constant = bytearray(_HEAD.size), bytearray(_HEAD.size)
+        places = {
+            "length": ("<u8", 1),
+            "sequence": ("<u4", 11),
+            "log_time": ("<u8", 15),
+            "publish_time": ("<u8", 23),
+        }
         for number, (field, kind) in enumerate(self.fields.items(), 1):
-            numpy_type, wire_type = _FIXED[kind]
-            tag, size = _varint(number << 3 | wire_type), int(numpy_type[-1])
-            places[f".{field}"] = (numpy_type, len(template) + len(tag))
-            template += tag + bytes(size)
-            constant += b"\xff" * len(tag) + bytes(size)
+            if kind in _FIXED:
+                numpy_type, wire_type = _FIXED[kind]
+                tag, size = _tag(number, wire_type), int(numpy_type[-1])
+                places[f".{field}"] = (numpy_type, len(template) + len(tag))
+                template += tag + bytes(size)
+                constant += b"\xff" * len(tag) + bytes(size)
         _HEAD.pack_into(template, 0, Opcode.MESSAGE, len(template) - 9, self.channel_id, 0, 0, 0)
+        constant[:1], constant[9:11] = b"\xff", b"\xff\xff"
+        constant[1:9] = bytes(8) if self.texts else b"\xff" * 8
         formats, offsets = zip(*places.values(), strict=True)
         spec = {"names": list(places), "formats": formats, "offsets": offsets, "itemsize": len(template)}
         return np.dtype(spec), np.frombuffer(template, np.uint8), np.frombuffer(constant, np.uint8)  # type: ignore[call-overload]
 
-    def encode(self, columns: Sequence[pl.Series], log_time: NDArray[np.uint64]) -> Iterator[Batch]:
-        """The rows as batches of about 1 MiB, in order; ``columns`` in order of the fields."""
-        return self._encode_fixed(columns, log_time) if self.fixed else self._encode_rows(columns, log_time)
-
-    def _encode_fixed(self, columns: Sequence[pl.Series], log_time: NDArray[np.uint64]) -> Iterator[Batch]:
-        dtype, template, _ = self.record
-        raw = [_RAW[t] for t in self.fields.values()]
-        arrays = [c.cast(t).fill_null(float("nan")).to_numpy() for c, t in zip(columns, raw, strict=True)]
-        rows = max(1, CHUNK_BYTES // dtype.itemsize)
+    def encode(
+        self, columns: Sequence[pl.Series], log_time: NDArray[np.uint64], first: int = 0
+    ) -> Iterator[Batch]:
+        """The rows as batches of about 1 MiB, numbered from ``first``; ``columns`` in order of the fields."""
+        rows = max(1, CHUNK_BYTES // self.record[0].itemsize)
+        raw = {f: c.cast(_RAW[t]) for c, (f, t) in zip(columns, self.fields.items(), strict=True)}
         for start in range(0, len(log_time), rows):
-            part = slice(start, start + rows)
-            n = len(log_time[part])
-            records = np.tile(template, n).view(dtype)
-            records["sequence"] = np.arange(start, start + n)
-            records["log_time"] = records["publish_time"] = log_time[part]
-            for field, values in zip(self.fields, arrays, strict=True):
-                records[f".{field}"] = values[part]
-            offset = np.arange(n, dtype=np.uint64) * np.uint64(dtype.itemsize)
-            yield Batch(self.channel_id, records.tobytes(), log_time[part], offset)
+            part = {f: c.slice(start, rows) for f, c in raw.items()}
+            stamps = log_time[start : start + rows]
+            if any(c.null_count() for f, c in part.items() if self.fields[f] in ("sfixed64", "fixed64")):
+                yield from join(self.channel_id, self._messages(part), stamps, first + start)
+            else:
+                yield self._batch(part, stamps, first + start)
 
-    def _encode_rows(self, columns: Sequence[pl.Series], log_time: NDArray[np.uint64]) -> Iterator[Batch]:
+    def _batch(self, columns: Mapping[str, pl.Series], log_time: NDArray[np.uint64], first: int) -> Batch:
+        dtype, template, _ = self.record
+        n = len(log_time)
+        records = np.tile(template, n).view(dtype)
+        records["sequence"] = np.arange(first, first + n)
+        records["log_time"] = records["publish_time"] = log_time
+        for field, column in columns.items():
+            if column.dtype.is_float():
+                column = column.fill_null(float("nan"))
+            if field not in self.texts:
+                records[f".{field}"] = column.to_numpy()
+        if not self.texts:
+            offset = np.arange(n, dtype=np.uint64) * np.uint64(dtype.itemsize)
+            return Batch(self.channel_id, records.tobytes(), log_time, offset)
+        texts = [encode_text(columns[field], tag) for field, tag in self.texts.items()]
+        length = dtype.itemsize + np.sum([t.length for t in texts], axis=0, dtype=np.int64)
+        records["length"] = length - 9
+        data, start = interleave(records.view(np.uint8).reshape(n, -1), length, texts)
+        return Batch(self.channel_id, data, log_time, start)
+
+    def _messages(self, columns: Mapping[str, pl.Series]) -> Iterator[bytes]:
         pool = DescriptorPool()
         for file in FileDescriptorSet.FromString(self.descriptor()).file:
             pool.Add(file)
         message = GetMessageClass(pool.FindMessageTypeByName(self.message))
-        raw = [c.cast(_RAW[t]) for c, t in zip(columns, self.fields.values(), strict=True)]
-        rows = (
-            message(**{f: v for f, v in zip(self.fields, values, strict=True) if v is not None})
-            for values in zip(*raw, strict=True)
-        )
-        yield from join(self.channel_id, (r.SerializeToString() for r in rows), log_time)
+        for values in zip(*columns.values(), strict=True):
+            given = {f: v for f, v in zip(self.fields, values, strict=True) if v is not None}
+            yield message(**given).SerializeToString()
 
-    def decode(self, records: memoryview) -> dict[str, NDArray[Any]] | None:
+    def decode(self, records: memoryview) -> dict[str, pl.Series] | None:
         """Field -> values of a chunk's rows; None if a byte is not as this layout has it."""
-        if not self.fixed:
-            return None
         dtype, template, constant = self.record
-        if len(records) % dtype.itemsize:
-            return None
-        matrix = np.frombuffer(records, np.uint8).reshape(-1, dtype.itemsize)
+        data = np.frombuffer(records, np.uint8)
+        texts: dict[str, pl.Series] = {}
+        if not self.texts:
+            if len(data) % dtype.itemsize:
+                return None
+            matrix = data.reshape(-1, dtype.itemsize)
+        else:
+            parted = take_apart(records, dtype.itemsize, self.texts)
+            if parted is None:
+                return None
+            matrix, texts = parted
         if ((matrix ^ template) & constant).any():
             return None
-        rows = np.frombuffer(records, dtype)
-        return {field: np.ascontiguousarray(rows[f".{field}"]) for field in self.fields}
+        rows = matrix.reshape(-1).view(dtype)
+        columns = {f: texts[f] if f in texts else pl.Series(f, rows[f".{f}"].copy()) for f in self.fields}
+        return columns
 
     def frame(self, rows: Sequence[Mapping[str, Any]]) -> pl.DataFrame:
         """Decoded messages as a table of the fields; what a message leaves out is null."""
@@ -174,20 +195,19 @@ class Layout:
         )
 
 
-def join(channel_id: int, messages: Iterable[bytes], log_time: NDArray[np.uint64]) -> Iterator[Batch]:
-    """Messages of any length as batches of about 1 MiB, in order."""
+def join(
+    channel_id: int, messages: Iterable[bytes], log_time: NDArray[np.uint64], first: int = 0
+) -> Iterator[Batch]:
+    """Messages of any length as batches of about 1 MiB, in order, numbered from ``first``."""
     records, offsets, start = bytearray(), [], 0
     for i, (data, stamp) in enumerate(zip(messages, log_time.tolist(), strict=True)):
         offsets.append(len(records))
-        records += _HEAD.pack(Opcode.MESSAGE, _HEAD.size - 9 + len(data), channel_id, i, stamp, stamp) + data
+        records += _HEAD.pack(Opcode.MESSAGE, _HEAD.size - 9 + len(data), channel_id, first + i, stamp, stamp)
+        records += data
         if len(records) >= CHUNK_BYTES or i + 1 == len(log_time):
             yield Batch(channel_id, bytes(records), log_time[start : i + 1], np.array(offsets, np.uint64))
             records, offsets, start = bytearray(), [], i + 1
 
 
-def _varint(value: int) -> bytes:
-    out = bytearray()
-    while value > 127:
-        out.append(value & 127 | 128)
-        value >>= 7
-    return bytes([*out, value])
+def _tag(number: int, wire_type: int) -> bytes:
+    return varint(number << 3 | wire_type)

@@ -19,6 +19,8 @@ import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import (
+    Attachment,
+    AttachmentIndex,
     Channel,
     Chunk,
     ChunkIndex,
@@ -34,6 +36,8 @@ from mcap.records import (
 )
 from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
+
+_MEDIA_TYPES = {"json": "application/json", "toml": "application/toml"}
 
 
 @dataclass(frozen=True)
@@ -58,9 +62,11 @@ class McapWriter:
     channels: Sequence[Channel]
     chunks: list[ChunkIndex] = field(default_factory=list)
     metadata: list[MetadataIndex] = field(default_factory=list)
+    attachments: list[AttachmentIndex] = field(default_factory=list)
     counts: dict[int, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        self.first = _bytes(*self.schemas, *self.channels)
         self.stream.write(MCAP0_MAGIC)
         self.stream.write(_bytes(Header(profile="", library="dynoscope")))
 
@@ -69,14 +75,30 @@ class McapWriter:
         self.metadata.append(MetadataIndex(offset=self.stream.tell(), length=len(record), name=name))
         self.stream.write(record)
 
+    def add_attachment(self, name: str, content: bytes) -> None:
+        kind = _MEDIA_TYPES.get(name.rpartition(".")[2], "application/octet-stream")
+        start = self.stream.tell()
+        record = _bytes(Attachment(create_time=0, log_time=0, name=name, media_type=kind, data=content))
+        self.stream.write(record)
+        self.attachments.append(
+            AttachmentIndex(
+                offset=start,
+                length=len(record),
+                create_time=0,
+                log_time=0,
+                data_size=len(content),
+                name=name,
+                media_type=kind,
+            )
+        )
+
     def add(self, batches: Iterable[Batch]) -> None:
         """Writes each batch as one chunk with its message index; two are packed at a time."""
-        first = _bytes(*self.schemas, *self.channels)
         pending: deque[tuple[Batch, int, Future[Chunk]]] = deque()
         with ThreadPoolExecutor(2) as pool:  # packing is most of the work, and runs outside the interpreter
             for batch in batches:
-                pending.append((batch, len(first), pool.submit(_pack, batch, first)))
-                first = b""
+                pending.append((batch, len(self.first), pool.submit(_pack, batch, self.first)))
+                self.first = b""
                 if len(pending) > 2:
                     self._write(*_done(pending))
             while pending:
@@ -113,6 +135,7 @@ class McapWriter:
             (Opcode.CHANNEL, self.channels),
             (Opcode.STATISTICS, [self._statistics()]),
             (Opcode.CHUNK_INDEX, self.chunks),
+            (Opcode.ATTACHMENT_INDEX, self.attachments),
             (Opcode.METADATA_INDEX, self.metadata),
         ]
         summary, offsets = b"", b""
@@ -126,7 +149,7 @@ class McapWriter:
 
     def _statistics(self) -> Statistics:
         return Statistics(
-            attachment_count=0,
+            attachment_count=len(self.attachments),
             channel_count=len(self.channels),
             channel_message_counts=self.counts,
             chunk_count=len(self.chunks),

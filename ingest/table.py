@@ -66,13 +66,13 @@ class Table:
         """What was amiss, for the log's facts."""
         found = [f"{n}: {count} {self.flags[n]}" for n, count in self.odd.items()]
         width = len(self.names) - (not self.dialect.columns[-1].written)
-        return found + (
-            [f"{self.short} rows have fewer fields than the {width} names"] if self.short else []
-        )
+        return found + ([f"{self.short} rows have fewer fields than the {width} names"] if self.short else [])
 
     def salvaged(self) -> list[str]:
         """What was lost."""
-        return [f"{self.long} rows have too many fields and were dropped: {self.first_long}"] * bool(self.long)
+        return [f"{self.long} rows have too many fields and were dropped: {self.first_long}"] * bool(
+            self.long
+        )
 
     def _numbers(self, body: bytes) -> tuple[pl.DataFrame, bytes]:
         """All columns as numbers, and the body without rows that do not fit."""
@@ -101,7 +101,11 @@ class Table:
         lines = body.split(b"\n")
         mark = separator.encode()
         doubtful = [i for i, line in enumerate(lines) if line.count(mark) >= width]
-        long = {i: n for i in doubtful if (n := len(split(lines[i].decode("utf-8", "replace"), separator))) > width}
+        long = {
+            i: n
+            for i in doubtful
+            if (n := len(split(lines[i].decode("utf-8", "replace"), separator))) > width
+        }
         if not long:
             raise LogError(f"{self.path}: not a readable table: {error}") from error
         at = next(iter(long))

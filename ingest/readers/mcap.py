@@ -14,6 +14,9 @@ import heapq
 import json
 import zlib
 from collections import defaultdict
+from collections.abc import Mapping
+from dataclasses import replace
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +24,9 @@ import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
 from mcap.writer import MCAP0_MAGIC
+from numpy.typing import NDArray
 
-from ingest.about import about_json, parse_about
+from ingest.about import about_json, parse_about, with_flags
 from ingest.clock import iso
 from ingest.errors import LogError
 from ingest.log import Event, Group, Log
@@ -140,7 +144,9 @@ def _log(path: Path, file: McapFile, parts: dict[int, list[Part]], names: NameMa
         try:
             decode = decoder(channel, file.schemas.get(channel.schema_id))
             if layout := layout_of(channel, file.schemas):
-                groups[_name(channel)] = own_group(channel, layout, mine, decode)
+                group = own_group(channel, layout, mine, decode)
+                known = with_flags(group.signals, about) if about else group.signals
+                groups[_name(channel)] = replace(group, signals=known)
                 continue
             rows = [(t, decode(data)) for part in mine for t, data in part.messages]
         except LogError as error:
@@ -159,44 +165,87 @@ def _log(path: Path, file: McapFile, parts: dict[int, list[Part]], names: NameMa
     facts |= {"notes": notes} if notes else {}
     order = [g for g in about.get("groups", ()) if g in groups]
     groups = {k: groups[k] for k in dict.fromkeys([*order, *groups])}
+    if about and len(events) == len(about["events"]):  # they stand in the file in order of their time
+        events = [event for _, event in sorted(zip(about["events"], events, strict=True), key=itemgetter(0))]
     return Recording(Log(about.get("name", path.stem), groups, tuple(events), facts), ours=bool(about))
 
 
 def _about(path: Path, file: McapFile) -> dict[str, Any]:
-    """What :func:`write` noted; empty if the file is not ours or the note is damaged."""
-    for record in file.metadata:
+    """What the :class:`Recorder` noted last; empty if the file is not ours or the notes are damaged."""
+    for age, record in enumerate(r for r in reversed(file.metadata) if r.name == _ABOUT):
         text = record.metadata.get("log", "")
-        if record.name == _ABOUT and record.metadata.get("crc32") == str(zlib.crc32(text.encode())):
+        if record.metadata.get("crc32") == str(zlib.crc32(text.encode())):
+            if age:
+                file.problems.append("what was noted at the end of the log is damaged")
             return parse_about(str(path), text)
     if any(OWN in channel.metadata for channel in file.channels.values()):
         file.problems.append("name and facts of the log are missing or damaged")
     return {}
 
 
-def write(log: Log, path: Path) -> None:
-    """One channel per group and one for the events; zstd chunks of about 1 MiB in order of their time.
+class Recorder:
+    """Writes a log part by part: a channel for each group and one for the events, in chunks of about 1 MiB.
 
-    Raises:
-        LogError: a time stamp is beyond what a log time holds.
+    Log times count from the log's own 0, or from the start of the first part where that is earlier.
     """
-    groups = log.groups.values()
-    messages = field_names(log.groups)
-    made = [channel_of(g, i, m) for i, (g, m) in enumerate(zip(groups, messages, strict=True), 1)]
-    times = [*(g.time for g in groups), np.array([e.t_start for e in log.events])]
-    shift = -min(0.0, *(float(t.min()) for t in times if len(t)), 0.0)
-    latest = max((float(np.abs(t).max()) for t in times if len(t)), default=0.0)
-    if not latest + shift < _LATEST:
-        raise LogError(f"log {log.name!r}: time stamps reach {latest:g} s; are they in s?")
-    stamps = [np.rint((t + shift) * 1e9).astype(np.uint64) for t in times]
-    number = len(made) + 1
-    batches = [join(number, (json.dumps(e.to_json()).encode() for e in log.events), stamps[-1])]
-    for (_, _, layout), group, stamp in zip(made, groups, stamps[:-1], strict=True):
-        batches.append(layout.encode(group.frame.get_columns(), stamp))
-    schemas = [*(s for s, _, _ in made), Schema(number, _EVENT_SCHEMA, "jsonschema", "dynoscope.Event")]
-    channels = [*(c for _, c, _ in made), Channel(number, "/events", "json", {OWN: "events"}, number)]
-    text = about_json(log)
-    with path.open("wb") as stream:
-        writer = McapWriter(stream, schemas, channels)
-        writer.add_metadata(_ABOUT, {"log": text, "crc32": str(zlib.crc32(text.encode()))})
-        writer.add(heapq.merge(*batches, key=lambda b: int(b.log_time[0])))
-        writer.finish()
+
+    def __init__(self, path: Path, first: Log) -> None:
+        messages = field_names(first.groups)
+        made = [
+            channel_of(g, i, m)
+            for i, (g, m) in enumerate(zip(first.groups.values(), messages, strict=True), 1)
+        ]
+        self.layouts = {g: layout for g, (_, _, layout) in zip(first.groups, made, strict=True)}
+        self.events = len(made) + 1
+        schemas = [
+            *(s for s, _, _ in made),
+            Schema(self.events, _EVENT_SCHEMA, "jsonschema", "dynoscope.Event"),
+        ]
+        channels = [
+            *(c for _, c, _ in made),
+            Channel(self.events, "/events", "json", {OWN: "events"}, self.events),
+        ]
+        earliest = [float(g.time.min()) for g in first.groups.values() if g.frame.height]
+        self.shift = -min(0.0, *earliest, *(e.t_start for e in first.events), 0.0)
+        self.counts = dict.fromkeys(first.groups, 0)
+        self.stream = path.open("wb")
+        self.writer = McapWriter(self.stream, schemas, channels)
+        self._describe(first, [])  # for a file that is cut
+
+    def add(self, part: Log) -> None:
+        """Writes the rows of ``part``.
+
+        Raises:
+            LogError: a time stamp is beyond what a log time holds.
+        """
+        batches = []
+        for name, group in part.groups.items():
+            stamps = self._log_times(part.name, group.time)
+            batches.append(self.layouts[name].encode(group.frame.get_columns(), stamps, self.counts[name]))
+            self.counts[name] += group.frame.height
+        self.writer.add(heapq.merge(*batches, key=lambda b: int(b.log_time[0])))
+
+    def finish(self, whole: Log, attachments: Mapping[str, bytes]) -> None:
+        """Writes events, attachments and what is known of the whole."""
+        order = sorted(range(len(whole.events)), key=lambda i: whole.events[i].t_start)
+        events = [whole.events[i] for i in order]
+        stamps = self._log_times(whole.name, np.array([e.t_start for e in events], np.float64))
+        self.writer.add(join(self.events, (json.dumps(e.to_json()).encode() for e in events), stamps))
+        self._describe(whole, order)
+        for name, content in attachments.items():
+            self.writer.add_attachment(name, content)
+        self.writer.finish()
+        self.close()
+
+    def close(self) -> None:
+        self.stream.close()
+
+    def _describe(self, log: Log, order: list[int]) -> None:
+        text = about_json(log, self.counts, events=order)
+        self.writer.add_metadata(_ABOUT, {"log": text, "crc32": str(zlib.crc32(text.encode()))})
+
+    def _log_times(self, log: str, time: NDArray[np.float64]) -> NDArray[np.uint64]:
+        latest = float(np.abs(time).max()) if len(time) else 0.0
+        if not latest + self.shift < _LATEST:
+            raise LogError(f"log {log!r}: time stamps reach {latest:g} s; are they in s?")
+        return np.rint(np.maximum(time + self.shift, 0.0) * 1e9).astype(np.uint64)

