@@ -25,7 +25,7 @@ from ingest.log import Log
 from ingest.maps import NameMap, apply_map, load_map
 from ingest.readers import FORMATS, Reader, Recorder, Recording, Streamer, Writer, reader
 
-WRITERS = {".mcap": "mcap", ".parquet": "parquet", ".csv": "csv"}
+WRITERS = {".mcap": "mcap", ".parquet": "parquet", ".csv": "csv", ".mf4": "mdf"}
 """Suffix -> format, for those formats that can be written."""
 
 
@@ -108,7 +108,7 @@ def recording(path: Path, first: Log) -> Iterator[Recorder]:
     _check_types(first)
     module = reader(WRITERS[path.suffix.lower()])
     make = getattr(module, "Recorder", partial(_AtOnce, cast(Writer, module)))
-    aside = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    aside = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with closing(make(aside, first)) as recorder:

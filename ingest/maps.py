@@ -68,6 +68,7 @@ class NameMap:
     signals: Mapping[str, SignalMap] = field(default_factory=dict)
     time: TimeMap = TimeMap()
     vehicle: str | None = None
+    dbc: tuple[Path, ...] = ()
     origin: str = "map"
 
 
@@ -96,14 +97,16 @@ def load_map(path: str | Path) -> NameMap:
         table = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise MapError(f"map {path} cannot be read: {error}") from error
-    mistakes = _unknown("the map", table, ("signals", "time", "vehicle"))
+    mistakes = _unknown("the map", table, ("signals", "time", "vehicle", "dbc"))
     vehicle = _typed("vehicle", table.get("vehicle"), str, mistakes)
     time = _time_map(_typed("[time]", table.get("time"), dict, mistakes) or {}, mistakes)
     entries = _typed("[signals]", table.get("signals"), dict, mistakes) or {}
     signals = {name: _signal_map(name, entry, mistakes) for name, entry in entries.items()}
+    dbc = _sources("dbc", table["dbc"], mistakes) if "dbc" in table else ()
     if mistakes:
         raise MapError(f"map {path}:" + "".join(f"\n  {m}" for m in mistakes))
-    return NameMap(signals=signals, time=time, vehicle=vehicle, origin=str(path))
+    databases = tuple(path.parent / d for d in dbc)
+    return NameMap(signals=signals, time=time, vehicle=vehicle, dbc=databases, origin=str(path))
 
 
 def _unknown(where: str, table: Mapping[str, Any], known: tuple[str, ...]) -> list[str]:
@@ -123,7 +126,7 @@ def _sources(where: str, value: Any, mistakes: list[str]) -> tuple[str, ...]:
     names = [value] if isinstance(value, str) else value
     if isinstance(names, list) and names and all(isinstance(n, str) and n for n in names):
         return tuple(names)
-    mistakes.append(f"{where}: source is {value!r}; expected a channel name, or a list of alternatives")
+    mistakes.append(f"{where} is {value!r}; expected a name, or a list of alternatives")
     return ()
 
 
@@ -135,7 +138,7 @@ def _time_map(table: Mapping[str, Any], mistakes: list[str]) -> TimeMap:
     unit = _typed("[time] unit", table.get("unit"), str, mistakes)
     if unit is not None:
         _check_unit("[time]", unit, "s", mistakes)
-    source = _sources("[time]", table["source"], mistakes) if "source" in table else ()
+    source = _sources("[time] source", table["source"], mistakes) if "source" in table else ()
     return TimeMap(source=source, unit=unit, rate=None if rate is None else float(rate))
 
 
@@ -162,7 +165,9 @@ def _signal_map(name: str, table: Any, mistakes: list[str]) -> SignalMap:
             mistakes.append(f"{where} {key} is {table[key]!r}; {did_you_mean(str(table[key]), allowed)}")
         words[key] = table.get(key)
     factors: dict[str, Any] = {k: float(v) for k, v in numbers.items() if v is not None}
-    return SignalMap(source=_sources(where, table.get("source"), mistakes), unit=unit, **factors, **words)
+    return SignalMap(
+        source=_sources(f"{where} source", table.get("source"), mistakes), unit=unit, **factors, **words
+    )
 
 
 def _check_unit(where: str, unit: str, target: str, mistakes: list[str]) -> None:

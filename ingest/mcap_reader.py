@@ -20,10 +20,11 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, ChunkIndex, Metadata, MetadataIndex, Schema, Statistics
 from mcap.stream_reader import get_chunk_data_stream
 from mcap.writer import MCAP0_MAGIC
-from zstandard import ZstdError
+from zstandard import ZstdError, frame_content_size
 
 _FOOTER = struct.Struct("<BQQQI")
 _RECORD = struct.Struct("<BQ")
+_LARGEST = 1 << 30  # bytes of an unpacked chunk
 DAMAGE = (McapError, struct.error, ValueError, OverflowError, MemoryError, RuntimeError, ZstdError)
 """What parsing and unpacking raise on bytes that are not what they should be."""
 
@@ -158,6 +159,10 @@ def _unpack(data: memoryview, first: int, end: int) -> memoryview:
     if data[first] != Opcode.CHUNK:
         return data[first:end]
     chunk = Chunk.read(ReadDataStream(BytesIO(data[first + _RECORD.size : end])))
+    if chunk.uncompressed_size > _LARGEST:
+        raise ValueError(f"unpacked {chunk.uncompressed_size} bytes, more than any writer makes")
+    if chunk.compression == "zstd" and frame_content_size(chunk.data) > chunk.uncompressed_size:
+        raise ValueError("its content is larger than it says")
     stream, size = get_chunk_data_stream(chunk, validate_crc=True)
     if size != chunk.uncompressed_size:
         raise ValueError(f"{size} bytes instead of {chunk.uncompressed_size}")

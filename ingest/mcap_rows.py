@@ -154,7 +154,7 @@ class Layout:
             offset = np.arange(n, dtype=np.uint64) * np.uint64(dtype.itemsize)
             return Batch(self.channel_id, records.tobytes(), log_time, offset)
         texts = [encode_text(columns[field], tag) for field, tag in self.texts.items()]
-        length = dtype.itemsize + np.sum([t.length for t in texts], axis=0, dtype=np.int64)
+        length = dtype.itemsize + np.stack([t.length for t in texts]).sum(axis=0)
         records["length"] = length - 9
         data, start = interleave(records.view(np.uint8).reshape(n, -1), length, texts)
         return Batch(self.channel_id, data, log_time, start)

@@ -30,6 +30,10 @@ FORMATS = {
     "mcap": (".mcap",),
     "parquet": (".parquet",),
     "arrow": (".arrow", ".feather", ".ipc"),
+    "mdf": (".mf4", ".mdf", ".mf3", ".dat"),
+    "tdms": (".tdms",),
+    "mat": (".mat",),
+    "can": (".blf", ".asc"),
     "csv": (".csv", ".tsv"),
 }
 """Module -> suffixes that make a file in a folder a log. The modules are asked in this order."""

@@ -3,6 +3,7 @@ from __future__ import annotations
 import json
 import math
 import shutil
+import struct
 import subprocess
 import sys
 from collections.abc import Callable
@@ -12,11 +13,13 @@ from typing import Any
 import numpy as np
 import polars as pl
 import pytest
+import zstandard
 from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorProto
 from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.message_factory import GetMessageClass
+from mcap.opcode import Opcode
 from mcap.reader import NonSeekingReader, make_reader
-from mcap.writer import CompressionType, IndexType, Writer
+from mcap.writer import MCAP0_MAGIC, CompressionType, IndexType, Writer
 from mcap_protobuf.decoder import DecoderFactory
 from mcap_protobuf.schema import build_file_descriptor_set
 
@@ -285,4 +288,45 @@ def test_what_is_no_mcap(tmp_path: Path) -> None:
         read_log(path)
     path.write_bytes(b"\x89MCAP1\r\n")
     with pytest.raises(LogError, match=r"not a log of a known format \(mcap, .*csv\)"):
+        read_log(path)
+
+
+def test_ros_2(tmp_path: Path) -> None:
+    writer_of = pytest.importorskip("mcap_ros2.writer")
+    path = tmp_path / "ros.mcap"
+    text = "float64 boost\ngeometry_msgs/Point at\nint32[] list\nbool ok\n" + "=" * 40
+    text += "\nMSG: geometry_msgs/Point\nfloat64 x\nfloat64 y\n"
+    with path.open("wb") as stream:
+        writer = writer_of.Writer(stream)
+        schema = writer.register_msgdef("acme/msg/Engine", text)
+        for i in range(20):
+            row = {"boost": float(i), "at": {"x": i / 2, "y": 1.0}, "list": [1], "ok": bool(i % 2)}
+            writer.write_message("/engine", schema, row, i * 10_000_000, i * 10_000_000)
+        writer.finish()
+    frame = read_log(path).groups["engine"].frame
+    assert frame.columns == ["time", "boost", "at.x", "at.y", "ok"]
+    assert frame["boost"].to_list() == [float(i) for i in range(20)]
+    assert frame["at.x"].to_list() == [i / 2 for i in range(20)]
+    assert frame["time"].to_list() == [i / 100 for i in range(20)]
+
+
+def test_attachments(tmp_path: Path, log: Log) -> None:
+    path = write_log(log, tmp_path / "x.mcap", {"report.json": b"{}", "map.toml": b"x = 1"})
+    assert read_log(path).equals(log)
+    with path.open("rb") as stream:
+        found = {a.name: (a.media_type, a.data) for a in make_reader(stream).iter_attachments()}
+    assert found == {
+        "report.json": ("application/json", b"{}"),
+        "map.toml": ("application/toml", b"x = 1"),
+    }
+
+
+def test_a_chunk_that_claims_to_be_huge_is_not_unpacked(tmp_path: Path) -> None:
+    path = tmp_path / "bomb.mcap"
+    bomb = zstandard.compress(bytes(1 << 27), 19)
+    head = struct.pack("<QQQII", 0, 0, 1 << 45, 0, 4) + b"zstd" + struct.pack("<Q", len(bomb))
+    content = head + bomb
+    record = struct.pack("<BQ", Opcode.CHUNK, len(content)) + content
+    path.write_bytes(MCAP0_MAGIC + struct.pack("<BQII", Opcode.HEADER, 8, 0, 0) + record)
+    with pytest.raises(LogError, match=r"bomb\.mcap: nothing can be read.*unpacked 35184372088832 bytes"):
         read_log(path)

@@ -1,0 +1,159 @@
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+
+from ingest import read_log, write_log
+from ingest.blocks import join
+from ingest.errors import LogError
+from ingest.files import read_blocks, read_header
+from ingest.log import Event, Group, Log, Signal
+from ingest.maps import NameMap, SignalMap
+from ingest.readers import mdf
+
+asammdf = pytest.importorskip("asammdf")
+REAL = Path(__file__).parents[3].parent / "shared" / "data" / "mdf4"
+RNG = np.random.default_rng(0)
+TIME = np.arange(3000) * 0.01
+VALUES = RNG.normal(100, 5, 3000).astype(np.float32)
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two rasters, invalid samples, text by conversion, a name in both groups."""
+    path = tmp_path_factory.mktemp("mdf") / "x.mf4"
+    table = {f"val_{i}": i for i in range(2)} | {f"text_{i}": w for i, w in enumerate(("off", "on"))}
+    with asammdf.MDF(version="4.10") as file:
+        bad = np.zeros(3000, bool)
+        bad[5:8] = True
+        fast = [
+            asammdf.Signal(VALUES, TIME, name="p_Bst", unit="bar", comment="boost"),
+            asammdf.Signal(
+                np.arange(3000, dtype=np.int16), TIME, name="n", unit="U/min", invalidation_bits=bad
+            ),
+            asammdf.Signal(np.arange(3000) % 2, TIME, name="switch", conversion=table),
+            asammdf.Signal(np.ones((3000, 3), np.uint8), TIME, name="array"),
+        ]
+        file.append(fast, acq_name="ecu", comment="")
+        slow = [asammdf.Signal(np.arange(300, dtype=">f8"), TIME[::10] + 0.003, name="n", unit="-")]
+        file.append(slow, acq_name="bench", comment="")
+        file.save(path, overwrite=True, compression=2)
+    return path
+
+
+def test_groups_units_and_invalid_samples(path: Path) -> None:
+    log = read_log(path)
+    ecu, bench = log.groups["ecu"].frame, log.groups["bench"].frame
+    assert ecu.columns == ["time", "p_Bst", "ecu.n", "switch"], "a name in two groups gets its group's"
+    np.testing.assert_array_equal(ecu["time"], TIME)
+    np.testing.assert_array_equal(ecu["p_Bst"].to_numpy(), VALUES * np.float32(100.0))
+    assert (log.signals["p_Bst"].source_unit, log.signals["p_Bst"].description) == ("bar", "boost")
+    assert ecu["ecu.n"].to_list() == [None if i in (5, 6, 7) else i for i in range(3000)]
+    assert ecu["switch"].to_list() == ["on" if i % 2 else "off" for i in range(3000)]
+    assert (log.signals["switch"].kind, log.signals["switch"].resample) == ("state", "hold")
+    np.testing.assert_array_equal(bench["bench.n"], np.arange(300.0))
+    assert log.signals["bench.n"].source_name == "n"
+    assert "'array' was skipped" in log.facts["notes"][0]
+    names = NameMap(signals={"n_Eng": SignalMap(source=("ecu.n",))})
+    assert read_log(path, names).groups["ecu"].frame["n_Eng"][100] == 100.0
+
+
+def test_header_and_parts(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = read_log(path)
+    head = read_header(path)
+    assert head.signals == whole.signals
+    assert head.facts["rows"] == {"ecu": 3000, "bench": 300}
+    parts = [p.log for p in mdf.blocks(path, NameMap(), 7000)]
+    assert len(parts) > 3
+    joined = join(parts)
+    assert all(joined.groups[k].frame.height == g.frame.height for k, g in whole.groups.items())
+    assert joined.groups["ecu"].frame.drop("p_Bst").equals(whole.groups["ecu"].frame.drop("p_Bst"))
+    assert join(read_blocks(path)).equals(whole)
+
+
+def test_version_3(tmp_path: Path) -> None:
+    with asammdf.MDF(version="3.30") as file:
+        file.append([asammdf.Signal(VALUES, TIME, name="T_Int", unit="°C")])
+        file.save(tmp_path / "x.mdf", overwrite=True)
+    log = read_log(tmp_path / "x.mdf")
+    np.testing.assert_allclose(log.values("T_Int"), VALUES.astype(float) + 273.15, rtol=1e-6)
+
+
+def test_ours_comes_back(tmp_path: Path) -> None:
+    frame = pl.DataFrame(
+        {
+            "time": [0.0, 1.0, 2.0],
+            "p_Bst": [1.0, None, 3.0],
+            "word": ["x", None, "yyü"],
+            "i": pl.Series([1, None, 3], dtype=pl.Int16),
+        }
+    )
+    signals = {"p_Bst": Signal(name="p_Bst", unit="kPa", flags=("unit assumed",))}
+    events = (Event(t_start=1.0, kind="maf_gain", source="truth", magnitude=0.05, unit="1"),)
+    log = Log("drive", {"a/b": Group("a/b", frame, signals)}, events, {"seed": 1})
+    assert read_log(write_log(log, tmp_path / "x.mf4")).equals(log)
+    with asammdf.MDF(tmp_path / "x.mf4") as file:  # and to others it is plain MDF
+        assert file.get("p_Bst").unit == "kPa"
+        assert file.get("i").samples.tolist() == [1, 3], "the invalid one is left out"
+
+
+def test_a_cut_or_broken_file_is_told(path: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    good, bad = path.read_bytes(), tmp_path / "bad.mf4"
+    whole = read_log(path)
+    told = 0
+    for content in (
+        *(good[: len(good) * part // 20] for part in range(1, 20)),
+        good[:-300],
+        *(good[:at] + bytes([good[at] ^ 0xFF] * 8) + good[at + 8 :] for at in range(100, 3000, 97)),
+    ):
+        bad.write_bytes(content)
+        try:
+            log = read_log(bad)
+        except LogError as error:
+            assert "bad.mf4" in str(error)  # noqa: PT017 - whether it is raised depends on the damage
+            told += 1
+            continue
+        assert all(
+            g.frame.height <= whole.groups[k].frame.height for k, g in log.groups.items() if k in whole.groups
+        )
+        told += "salvaged" in log.facts
+    assert told >= 20
+    assert "Exception ignored" not in capfd.readouterr().err
+
+
+def test_what_is_no_measurement(tmp_path: Path) -> None:
+    path = tmp_path / "x.mf4"
+    path.write_bytes(b"MDF     4.10    " + bytes(200))
+    with pytest.raises(LogError, match=r"x\.mf4: damaged MDF file"):
+        read_log(path)
+    with asammdf.MDF(version="4.10") as file:
+        file.save(tmp_path / "empty.mf4", overwrite=True)
+    with pytest.raises(LogError, match=r"empty\.mf4: no group has a time channel"):
+        read_log(tmp_path / "empty.mf4")
+
+
+@pytest.mark.skipif(not REAL.is_dir(), reason="the MDF files of other projects are not at hand")
+@pytest.mark.parametrize("name", ["ASAP2_Demo_V171", "test_batch", "test_batch_cut_0", "test_metadata"])
+def test_real_files_value_by_value(name: str) -> None:
+    log = read_log(REAL / f"{name}.mf4")
+    by_source: dict[str, Any] = {s.source_name or n: log.group_of(n).frame[n] for n, s in log.signals.items()}
+    seen = 0
+    with asammdf.MDF(REAL / f"{name}.mf4") as file:
+        for index, group in enumerate(file.groups):
+            for number, channel in enumerate(group.channels):
+                if number == file.masters_db.get(index):
+                    continue
+                theirs = file.get(group=index, index=number)
+                ours = by_source[channel.name]
+                if theirs.samples.dtype.kind == "S":
+                    words = [w.decode().rstrip("\0") or None for w in theirs.samples]
+                    assert ours.to_list() == words
+                else:
+                    np.testing.assert_array_equal(ours.to_numpy(), theirs.samples)
+                np.testing.assert_array_equal(log.group_of(ours.name).time, theirs.timestamps)
+                seen += 1
+    assert seen == len(log.signals)
