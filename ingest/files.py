@@ -6,7 +6,7 @@ import hashlib
 import os
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field, replace
@@ -48,10 +48,14 @@ def read_log(path: str | Path, map: NameMap | str | Path | None = None) -> Log:
     return _canonical(found, names, map is not None)
 
 
-def read_blocks(path: str | Path, map: NameMap | str | Path | None = None) -> Iterator[Log]:
+def read_blocks(
+    path: str | Path,
+    map: NameMap | str | Path | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Iterator[Log]:
     """Reads a log in parts of consecutive rows (see :mod:`ingest.blocks`), each as :func:`read_log` would.
 
-    Formats that cannot be read in parts come as one.
+    Formats that cannot be read in parts come as one. ``progress`` is told the share that has been read.
 
     Raises:
         LogError, MapError, UnitError: as :func:`read_log`.
@@ -66,6 +70,8 @@ def read_blocks(path: str | Path, map: NameMap | str | Path | None = None) -> It
             else [module.read(path, names)]
         )
         for part in parts:
+            if progress:
+                progress(part.share)
             yield _canonical(_with_source(part, path, name, digest), names, map is not None)
 
 
@@ -202,7 +208,7 @@ def _with_source(found: Recording, path: Path, name: str, digest: Future[str]) -
     if found.ours:
         return found
     source = {"file": path.name, "format": name, "sha256": digest.result()}
-    return Recording(replace(found.log, facts={**source, **found.log.facts}))
+    return found._replace(log=replace(found.log, facts={**source, **found.log.facts}))
 
 
 def _canonical(found: Recording, names: NameMap, mapped: bool) -> Log:

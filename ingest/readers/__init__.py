@@ -40,10 +40,14 @@ FORMATS = {
 
 
 class Recording(NamedTuple):
-    """What a reader found. ``ours``: written by dynoscope, so names, units and facts are as they were."""
+    """What a reader found. ``ours``: written by dynoscope, so names, units and facts are as they were.
+
+    ``share`` of the file that has been read.
+    """
 
     log: Log
     ours: bool = False
+    share: float = 1.0
 
 
 class Reader(Protocol):

@@ -45,11 +45,14 @@ def is_mine(path: Path, head: bytes) -> bool:
 
 
 def header(path: Path, names: NameMap) -> Recording:
-    """Columns and units from the first MiB."""
-    about, dialect, _ = _begin(TextFile(path), names)
-    frame = pl.DataFrame(schema=dict.fromkeys((c.name for c in dialect.columns), pl.Float64))
-    frame = frame if TIME in frame.columns else frame.with_columns(pl.lit(None, pl.Float64).alias(TIME))
-    return Recording(_log(path, dialect, frame, {}, about, {}, None))
+    """Columns, units and types from the first MiB."""
+    file = TextFile(path)
+    about, dialect, start = _begin(file, names)
+    table = Table(path, dialect, names.time)
+    frame = table.parse(next(file.blocks(start, HEAD), b""))
+    log = _log(path, dialect, frame, {}, about, _began(table), None)
+    groups = {k: Group(k, g.frame.clear(), g.signals) for k, g in log.groups.items()}
+    return Recording(Log(log.name, groups, log.events, log.facts))
 
 
 def read(path: Path, names: NameMap) -> Recording:
@@ -67,14 +70,15 @@ def blocks(path: Path, names: NameMap, size: int | None = BLOCK_BYTES) -> Iterat
     about, dialect, start = _begin(file, names)
     table = Table(path, dialect, names.time)
     rasters: dict[str, list[str]] | None = None
-    count = 0
+    count, done = 0, start
     part: Recording | None = None
     for body in file.blocks(start, size):
         frame = table.parse(body)
-        log = _log(path, dialect, frame, table.flags, about, {}, rasters)
+        log = _log(path, dialect, frame, table.flags, about, _began(table), rasters)
         rasters = {k: list(g.signals) for k, g in log.groups.items()}
         count += frame.height
-        part = Recording(log)
+        done += len(body)
+        part = Recording(log, share=min(1.0, done / path.stat().st_size))
         yield part
     if not count or part is None:
         raise LogError(f"{path}: no samples: no complete row whose time is a number")
@@ -98,6 +102,11 @@ def _begin(file: TextFile, names: NameMap) -> tuple[dict[str, Any], Dialect, int
         about = parse_about(f"{file.path}, first line", line.removeprefix(_OWN))
     dialect = sniff(str(file.path), head.rstrip(b"\0"), names.time)
     return about, dialect, skip + dialect.start
+
+
+def _began(table: Table) -> dict[str, Any]:
+    """What is known from the first row on."""
+    return {k: v for k, v in table.clock.facts.items() if k == "start_time"}
 
 
 def _facts(file: TextFile, dialect: Dialect, table: Table) -> dict[str, Any]:

@@ -59,7 +59,7 @@ def is_mine(path: Path, head: bytes) -> bool:
 def header(path: Path, names: NameMap) -> Recording:
     """Channels, from the summary and as many chunks as it takes to see a message of each."""
     file = open_mcap(path)
-    log, ours = _log(path, file, _collect(file, until_all_seen=True), names)
+    log, ours, _ = _log(path, file, _collect(file, until_all_seen=True), names)
     groups = {k: Group(k, g.frame.clear(), g.signals) for k, g in log.groups.items()}
     facts = dict(log.facts)
     if file.statistics:
@@ -81,7 +81,7 @@ def read(path: Path, names: NameMap) -> Recording:
         file.problems.append(f"{counted} of {file.statistics.message_count} messages were found")
     if not parts and file.problems:
         raise LogError(f"{path}: nothing can be read: {'; '.join(file.problems)}")
-    log, ours = _log(path, file, parts, names)
+    log, ours, _ = _log(path, file, parts, names)
     facts = {**log.facts, **({"salvaged": file.problems} if file.problems else {})}
     return Recording(Log(log.name, log.groups, log.events, facts), ours)
 

@@ -77,7 +77,7 @@ def blocks(path: Path, names: NameMap, size: int | None = BLOCK_BYTES) -> Iterat
         part = None
         for i in range(number):
             part = found.part(i, rows=rows)
-            yield Recording(part, ours=bool(found.about))
+            yield Recording(part, bool(found.about), (i + 1) / number)
         assert part is not None  # there is at least one
         if not any(found.got.values()):
             raise LogError(f"{path}: no samples: {'; '.join(found.problems) or 'every group is empty'}")

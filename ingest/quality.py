@@ -1,0 +1,309 @@
+"""How good the samples of a log are, added up part by part.
+
+Of the samples ``x`` of a signal that are there, a *plateau* is three or more equal ones in a row.
+
+- *stuck*: a plateau of 20 samples and 3 s or more, in a signal that has few plateaus otherwise, neither at
+  its lowest nor at its highest value;
+- *clipped*: samples in plateaus at the lowest (unless that is 0, rest) or highest value of such a signal;
+- *spike*: a sample that leaves both neighbours to the same side by more than 10 times the root mean square
+  of all steps, and 10 times as far as these neighbours and the next are from one another.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+import polars as pl
+from numpy.typing import NDArray
+
+from ingest.log import Event, Group, Log
+
+GAP = 10.0  # a step longer than this many median steps is a gap
+_PLATEAU = 3  # samples
+_STUCK, _STUCK_S = 20, 3.0  # samples and s
+_RARE = 0.2  # a signal with a larger share of plateaus is one that moves in steps
+_SPIKE = 10.0
+_MANY = 1000  # samples of a part that give an idea of the steps of the whole
+_LISTED = 20  # of each kind and signal, so that a report stays readable
+
+Floats = NDArray[np.float64]
+
+
+def clock_quality(time: Floats) -> dict[str, Any]:
+    """Sampling from time stamps in s, shape (rows,), in the order of the source.
+
+    With the steps ``d`` between successive stamps and ``d_p`` their p-th percentile (of those above 0):
+    ``rate_hz = 1 / d_50``, ``jitter = (d_95 - d_5) / (2 d_50)``, a gap is a step above ``10 d_50``, a clock
+    jump one below ``-10 d_50``.
+
+    >>> q = clock_quality(np.array([0.0, 0.1, 0.2, 0.2, 0.3, 5.3, 5.4]))
+    >>> q["rate_hz"], q["duplicates"], q["gaps"], [round(t, 1) for t in q["longest_gap"]]
+    (10.0, 1, 1, [0.3, 5.3])
+    """
+    step = np.diff(time)
+    forward = step[step > 0]
+    found: dict[str, Any] = {
+        "rows": len(time),
+        "rate_hz": None,
+        "jitter": None,
+        "gaps": 0,
+        "longest_gap": None,
+        "duplicates": int((step == 0).sum()),
+        "out_of_order": int((step < 0).sum()),
+        "clock_jumps": 0,
+    }
+    if len(forward):
+        low, median, high = (float(p) for p in np.percentile(forward, (5, 50, 95)))
+        gaps = np.flatnonzero(step > GAP * median)
+        longest = int(np.argmax(step))
+        found |= {"rate_hz": number(round(1 / median, 6)), "jitter": round((high - low) / (2 * median), 6)}
+        found |= {"gaps": len(gaps), "clock_jumps": int((step < -GAP * median).sum())}
+        found |= {"longest_gap": [float(time[longest]), float(time[longest + 1])]} if len(gaps) else {}
+    return found
+
+
+def number(value: Any) -> float | None:
+    """A finite float, or None."""
+    return float(value) if value is not None and np.isfinite(value) else None
+
+
+class Run(NamedTuple):
+    """Equal samples in a row, from one time to another."""
+
+    start: float
+    end: float
+    value: float
+    samples: int
+
+
+@dataclass
+class Samples:
+    """What the parts of one signal have shown."""
+
+    rows: int = 0
+    missing: int = 0
+    masks: list[tuple[int, bytes]] = field(default_factory=list)  # rows and packed "is there" of each part
+    low: Any = None
+    high: Any = None
+    varies: bool = False
+    last: Any = None
+    plateaus: int = 0
+    at_low: int = 0
+    at_high: int = 0
+    runs: list[tuple[float, Run]] = field(default_factory=list)  # the longest, as a heap
+    open: Run | None = None
+    tail: tuple[Floats, Floats] = (np.empty(0), np.empty(0))
+    steps: int = 0
+    squares: float = 0.0
+    candidates: list[tuple[float, float]] = field(
+        default_factory=list
+    )  # height and time of what may be spikes
+
+    def add(self, time: Floats, values: pl.Series) -> None:
+        """Takes in the next rows."""
+        present = values.is_not_null()
+        missing = values.null_count()
+        self.masks.append((len(values), np.packbits(present.to_numpy()).tobytes() if missing else b""))
+        self.rows, self.missing = self.rows + len(values), self.missing + missing
+        known = values.filter(present) if missing else values
+        if not len(known):
+            return
+        if not (values.dtype.is_numeric() or values.dtype == pl.Boolean):
+            self.varies |= known.n_unique() > 1 or self.last not in (None, known[0])
+            self.last = known[0]
+            return
+        ends = (known.min(), known.max())
+        low, high = ends if self.low is None else (min(self.low, ends[0]), max(self.high, ends[1]))
+        self.at_low, self.at_high = (
+            (self.at_low if low == self.low else 0),
+            (self.at_high if high == self.high else 0),
+        )
+        self.low, self.high, self.varies = low, high, low != high
+        if values.dtype.is_float():
+            x = known.cast(pl.Float64).to_numpy()
+            t = time[present.to_numpy()] if missing else time
+            self._add_runs(t, x)
+            self._add_steps(t, x)
+
+    def _add_runs(self, t: Floats, x: Floats) -> None:
+        bounds = _bounds(x)
+        open_, self.open = self.open, None
+        if open_ is not None and open_.value != x[0]:
+            self._close(open_)
+            open_ = None
+        for a, b in bounds:
+            run = Run(float(t[a]), float(t[b - 1]), float(x[a]), b - a)
+            if a == 0 and open_ is not None:
+                run = Run(open_.start, run.end, run.value, run.samples + open_.samples)
+            if b == len(x):
+                self.open = run
+            else:
+                self._close(run)
+
+    def _close(self, run: Run) -> None:
+        if run.samples < _PLATEAU:
+            return
+        self.plateaus += run.samples
+        self.at_low += run.samples if run.value == self.low else 0
+        self.at_high += run.samples if run.value == self.high else 0
+        duration = run.end - run.start
+        if run.samples >= _STUCK and duration >= _STUCK_S:
+            (heapq.heappush if len(self.runs) < 5 * _LISTED else heapq.heappushpop)(
+                self.runs, (duration, run)
+            )
+
+    def _add_steps(self, t: Floats, x: Floats) -> None:
+        had = len(self.tail[1])
+        t, x = np.append(self.tail[0], t), np.append(self.tail[1], x)
+        self.tail = t[-4:].copy(), x[-4:].copy()
+        step = np.diff(x)
+        new = step[max(had - 1, 0) :]
+        self.steps, self.squares = self.steps + len(new), self.squares + float(np.dot(new, new))
+        if len(x) < 5:
+            return
+        least = 0.0 if len(x) < _MANY else (0.5 * _SPIKE) ** 2 * float(np.dot(step, step)) / len(step)
+        at = np.flatnonzero(step[1:-2] * step[2:-1] < -least) + 2
+        height = np.minimum(np.abs(step[at - 1]), np.abs(step[at]))
+        around = np.abs(np.stack([x[at + 1] - x[at - 1], step[at - 2], step[at + 1]]))
+        sharp = height > _SPIKE * around.max(axis=0, initial=0.0)
+        self.candidates += zip(height[sharp].tolist(), t[at[sharp]].tolist(), strict=True)
+
+    def finish(self) -> dict[str, Any]:
+        """Counts, ends, and what is suspicious."""
+        if self.open is not None:
+            self._close(self.open)
+            self.open = None
+        clipping, stuck = self._plateaus()
+        return {
+            "missing": self.missing,
+            "missing_share": round(self.missing / self.rows, 6) if self.rows else None,
+            "min": number(self.low),
+            "max": number(self.high),
+            "constant": self.rows - self.missing > 1 and not self.varies,
+            "stuck": len(stuck),
+            "clipped": clipping,
+            "spikes": len(self.spikes()),
+        }
+
+    def spikes(self) -> list[float]:
+        """Their times, highest first."""
+        least = _SPIKE * np.sqrt(self.squares / self.steps) if self.steps else 0.0
+        return [t for height, t in sorted(self.candidates, reverse=True) if height > least]
+
+    def stretches(self) -> list[tuple[str, Run]]:
+        """The long plateaus that are suspicious, longest first: ``clipping`` or ``stuck``."""
+        clipping, stuck = self._plateaus()
+        ends = [r for _, r in self.runs if clipping and r.value in self._ends()]
+        return [("clipping", r) for r in sorted(ends)] + [("stuck", r) for r in stuck]
+
+    def _ends(self) -> set[float]:
+        return {float(self.high), *((float(self.low),) if self.low != 0 else ())}
+
+    def _plateaus(self) -> tuple[int, list[Run]]:
+        """Clipped samples and stuck stretches."""
+        there = self.rows - self.missing
+        if not self.varies or not there:
+            return 0, []
+        inside = [r for _, r in self.runs if r.value not in (self.low, self.high)]
+        held = sum(r.samples for r in inside)
+        if self.at_low + self.at_high > there / 2:
+            return 0, []
+        ordinary = self.plateaus - self.at_low - self.at_high - held
+        if ordinary > _RARE * (there - held - self.at_low - self.at_high):
+            return 0, []
+        return self.at_high + (self.at_low if self.low != 0 else 0), sorted(
+            inside, key=lambda r: r.start - r.end
+        )
+
+    def present(self) -> NDArray[np.bool_] | None:
+        """Which rows have a value, shape (rows,); None where all have."""
+        if not self.missing:
+            return None
+        parts = [
+            np.unpackbits(np.frombuffer(bits, np.uint8), count=n).astype(bool) if bits else np.ones(n, bool)
+            for n, bits in self.masks
+        ]
+        return np.concatenate(parts)
+
+
+class Quality:
+    """Adds up the parts of a log: ``add`` each, then ask."""
+
+    def __init__(self) -> None:
+        self.times: dict[str, list[Floats]] = {}
+        self.samples: dict[str, dict[str, Samples]] = {}
+
+    def add(self, part: Log) -> None:
+        for name, group in part.groups.items():
+            self.times.setdefault(name, []).append(group.time)
+            known = self.samples.setdefault(name, {s: Samples() for s in group.signals})
+            self._add_group(known, group)
+
+    def _add_group(self, known: dict[str, Samples], group: Group) -> None:
+        for signal, samples in known.items():
+            samples.add(group.time, group.frame[signal])
+
+    def time(self, group: str) -> Floats:
+        """All time stamps of a group."""
+        return np.concatenate(self.times[group]) if self.times.get(group) else np.empty(0)
+
+    def of_signals(self) -> Iterator[tuple[str, str, dict[str, Any]]]:
+        """Group, signal and what is found of it; its sampling is that of the samples that are there."""
+        for group, known in self.samples.items():
+            time = self.time(group)
+            whole = clock_quality(time)
+            for name, samples in known.items():
+                present = samples.present()
+                clock = whole if present is None else clock_quality(time[present])
+                yield group, name, {**clock, **samples.finish()}
+
+    @property
+    def span(self) -> list[float] | None:
+        """First and last time in s, None without a row."""
+        ends = [(float(t.min()), float(t.max())) for t in map(self.time, self.times) if len(t)]
+        return [min(e[0] for e in ends), max(e[1] for e in ends)] if ends else None
+
+    def events(self) -> tuple[Event, ...]:
+        """What is suspicious and has a place in time, in order of time; the worst of each kind and signal."""
+        found = [e for group in self.samples for e in _clock_events(self.time(group))]
+        for known in self.samples.values():
+            for name, samples in known.items():
+                samples.finish()
+                runs = samples.stretches()[:_LISTED]
+                found += [_event(kind, r.start, r.end, name) for kind, r in runs]
+                found += [_event("spike", t, t, name) for t in samples.spikes()[:_LISTED]]
+        return tuple(sorted(dict.fromkeys(found), key=lambda e: (e.t_start, e.kind, e.channel or "")))
+
+
+def _bounds(x: Floats) -> list[tuple[int, int]]:
+    """First and end index of the first run of equal values, of the last, and of every plateau between."""
+    same = x[1:] == x[:-1]
+    if not (same[1:] & same[:-1]).any():
+        head = 1 + bool(len(same) and same[0])
+        tail = len(x) - 1 - bool(len(same) and same[-1])
+        return [(0, head), (tail, len(x))] if head <= tail else [(0, len(x))]
+    first = np.append(0, np.flatnonzero(~same) + 1)
+    end = np.append(first[1:], len(x))
+    chosen = end - first >= _PLATEAU
+    chosen[[0, -1]] = True
+    return list(zip(first[chosen].tolist(), end[chosen].tolist(), strict=True))
+
+
+def _clock_events(time: Floats) -> list[Event]:
+    step = np.diff(time)
+    if not (step > 0).any():
+        return []
+    median = float(np.median(step[step > 0]))
+    gaps = np.flatnonzero(step > GAP * median)
+    gaps = gaps[np.argsort(-step[gaps], kind="stable")][:_LISTED]
+    jumps = np.flatnonzero(step < -GAP * median)[:_LISTED]
+    found = [_event("gap", float(time[i]), float(time[i + 1]), None) for i in gaps]
+    return found + [_event("clock jump", float(time[i + 1]), float(time[i]), None) for i in jumps]
+
+
+def _event(kind: str, start: float, end: float, channel: str | None) -> Event:
+    return Event(t_start=start, t_end=end, kind=kind, channel=channel, source="quality")
