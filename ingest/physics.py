@@ -1,12 +1,13 @@
-"""Gas data and compressible flow through an orifice.
+"""Gas data, compressible flow through an orifice, and linear dynamics under a held input.
 
-Source: dissertation, equations (5.6) and (5.7), with the corrections that the printed form needs: the
-pressure ratio is downstream over upstream, the factor sqrt(2) belongs to Phi (only then is an area a
-geometric one), and the choked value is that of the critical ratio, so that Phi is continuous.
+Source of the flow: dissertation, equations (5.6) and (5.7), with the corrections that the printed form
+needs: the pressure ratio is downstream over upstream, the factor sqrt(2) belongs to Phi (only then is an area
+a geometric one), and the choked value is that of the critical ratio, so that Phi is continuous.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,6 +23,7 @@ __all__ = [
     "critical_ratio",
     "flow_function",
     "orifice_flow",
+    "zero_order_hold",
 ]
 
 # A number or an array of numbers; Any, as the same source is also compiled for scalars.
@@ -107,3 +109,29 @@ def orifice_flow(
     phi = flow_function(low / high, gas.kappa, critical_ratio(gas.kappa), Pi_lin)
     W: NDArray[np.float64] = area * high / np.sqrt(gas.R * T) * phi
     return np.where(forward, W, -W)
+
+
+def zero_order_hold(
+    A: NDArray[np.float64], B: NDArray[np.float64], dt: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """``Ad, Bd`` of ``x' = A x + B u`` for an input held over ``dt``; shapes (..., n, n) and (..., n, m).
+
+    ``exp([[A, B], [0, 0]] dt)`` by Taylor's series after scaling, for many systems at once.
+
+    >>> Ad, Bd = zero_order_hold(np.array([[-2.0]]), np.array([[2.0]]), 0.5)
+    >>> bool(np.isclose(Ad, np.exp(-1.0))), bool(np.isclose(Bd, 1.0 - np.exp(-1.0)))
+    (True, True)
+    """
+    n, m = B.shape[-2:]
+    M = np.zeros((*B.shape[:-2], n + m, n + m))
+    M[..., :n, :n], M[..., :n, n:] = A, B
+    norm = float((dt * np.abs(M)).sum(axis=-1).max())
+    halvings = max(0, math.ceil(math.log2(norm / 0.25))) if norm > 0.0 else 0
+    M *= dt / 2.0**halvings
+    power, F = M, np.eye(n + m) + M
+    for k in range(2, 13):  # 0.25^13 / 13! is far below a unit in the last place
+        power = power @ M / k
+        F = F + power
+    for _ in range(halvings):
+        F = F @ F
+    return np.ascontiguousarray(F[..., :n, :n]), np.ascontiguousarray(F[..., :n, n:])

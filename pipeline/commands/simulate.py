@@ -9,17 +9,20 @@ from typing import TYPE_CHECKING, Any
 from ingest.errors import DynoscopeError
 
 if TYPE_CHECKING:
+    from ingest.log import Log
     from ingest.simulators.faults import Fault
 
 HELP = "simulate a log with ground truth; the suffix (.mcap .parquet .csv) picks the format"
-SYSTEMS = ("airpath",)
+SYSTEMS = ("airpath", "throttle")
+AIRPATH_ONLY = ("cycle", "tolerance", "egr")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("system", choices=SYSTEMS, help="what to simulate")
     parser.add_argument("--out", required=True, type=Path, metavar="FILE", help="the log to write")
     parser.add_argument(
-        "--cycle", default="wltc_3b", help="wltc_3b udds us06 hwfet ftp75 nedc, or a CSV of time and speed"
+        "--cycle",
+        help="airpath: wltc_3b (the default) udds us06 hwfet ftp75 nedc, or a CSV of time and speed",
     )
     for name, kind, text in (
         ("fault", str, "the i-th --fault, --magnitude, --onset ... belong together"),
@@ -30,10 +33,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         ("signal", str, "which signal, for the faults sensor_*"),
     ):
         parser.add_argument(f"--{name}", action="append", default=[], type=kind, help=text)
-    parser.add_argument("--tolerance", type=int, choices=(0, 1, 2), default=0, help="spread between vehicles")
-    parser.add_argument("--egr", action="store_true", help="with exhaust gas recirculation")
+    parser.add_argument("--tolerance", type=int, choices=(0, 1, 2), help="airpath: spread between vehicles")
+    parser.add_argument("--egr", action="store_true", help="airpath: with exhaust gas recirculation")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--duration", type=float, metavar="S", help="s; default: the cycle's own")
+    parser.add_argument(
+        "--duration", type=float, metavar="S", help="s; default: the cycle's own; throttle: 50"
+    )
     parser.add_argument(
         "--noise", type=float, default=1.0, metavar="X", help="factor on all measurement noise"
     )
@@ -44,17 +49,34 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     from ingest import write_log
-    from ingest.simulators.airpath import simulate_airpath
     from pipeline.console import talk
 
-    log = simulate_airpath(
-        cycle=args.cycle, faults=faults(args), tolerance=args.tolerance, egr=args.egr, seed=args.seed,
-        duration_s=args.duration, noise=args.noise, overrides=overrides(args.set), name=args.out.stem,
-    )  # fmt: skip
+    log = _throttle(args) if args.system == "throttle" else _airpath(args)
     write_log(log, args.out)
     start, end = log.span
     talk(f"wrote {args.out}: {end - start:.0f} s, {len(log.signals)} signals")
     return 0
+
+
+def _airpath(args: argparse.Namespace) -> Log:
+    from ingest.simulators.airpath import simulate_airpath
+
+    return simulate_airpath(
+        cycle=args.cycle or "wltc_3b", faults=faults(args), tolerance=args.tolerance or 0, egr=args.egr,
+        seed=args.seed, duration_s=args.duration, noise=args.noise, overrides=overrides(args.set),
+        name=args.out.stem,
+    )  # fmt: skip
+
+
+def _throttle(args: argparse.Namespace) -> Log:
+    from ingest.simulators.throttle import simulate_throttle
+
+    if foreign := [f"--{name}" for name in AIRPATH_ONLY if getattr(args, name) not in (None, False)]:
+        raise DynoscopeError(f"simulate throttle: {', '.join(foreign)} belongs to airpath; leave it out")
+    return simulate_throttle(
+        faults=faults(args), seed=args.seed, duration_s=50.0 if args.duration is None else args.duration,
+        noise=args.noise, overrides=overrides(args.set), name=args.out.stem,
+    )  # fmt: skip
 
 
 def faults(args: argparse.Namespace) -> list[Fault]:
