@@ -22,7 +22,8 @@ import polars as pl
 from ingest.blocks import join
 from ingest.errors import LogError, did_you_mean
 from ingest.log import Log
-from ingest.maps import NameMap, apply_map, load_map
+from ingest.mapping import apply_map
+from ingest.maps import NameMap, load_map
 from ingest.readers import FORMATS, Reader, Recorder, Recording, Streamer, Writer, reader
 
 WRITERS = {".mcap": "mcap", ".parquet": "parquet", ".csv": "csv", ".mf4": "mdf"}

@@ -30,7 +30,7 @@ _SPIKE = 10.0
 _MANY = 1000  # samples of a part that give an idea of the steps of the whole
 _LISTED = 20  # of each kind and signal, so that a report stays readable
 
-Floats = NDArray[np.float64]
+Floats = NDArray[np.floating[Any]]
 
 
 def clock_quality(time: Floats) -> dict[str, Any]:
@@ -116,7 +116,7 @@ class Samples:
             self.varies |= known.n_unique() > 1 or self.last not in (None, known[0])
             self.last = known[0]
             return
-        ends = (known.min(), known.max())
+        ends: tuple[Any, Any] = (known.min(), known.max())
         low, high = ends if self.low is None else (min(self.low, ends[0]), max(self.high, ends[1]))
         self.at_low, self.at_high = (
             (self.at_low if low == self.low else 0),
@@ -126,6 +126,10 @@ class Samples:
         if values.dtype.is_float():
             x = known.cast(pl.Float64).to_numpy()
             t = time[present.to_numpy()] if missing else time
+            if not np.isfinite(ends[0] + ends[1]):
+                t, x = t[np.isfinite(x)], x[np.isfinite(x)]
+            if not len(x):
+                return
             self._add_runs(t, x)
             self._add_steps(t, x)
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 from ingest.log import Log, Signal
-from ingest.maps import UNIT_ASSUMED, UNIT_FROM_MAP
+from ingest.mapping import UNIT_ASSUMED, UNIT_FROM_MAP
 from ingest.quality import Quality, clock_quality
 
 QUALITY = "quality"

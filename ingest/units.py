@@ -11,7 +11,9 @@ from __future__ import annotations
 import math
 import re
 import unicodedata
-from typing import NamedTuple
+from functools import cache
+from importlib.util import find_spec
+from typing import Any, NamedTuple
 
 from ingest.errors import UnitError, did_you_mean
 
@@ -69,7 +71,7 @@ _UNITS: dict[str, dict[str, float]] = {
     "current": {"A": 1.0, "mA": 1e-3},
     "time": {
         "s": 1.0, "sec": 1.0, "second": 1.0, "seconds": 1.0, "ms": 1e-3, "msec": 1e-3, "us": 1e-6, "ns": 1e-9,
-        "min": 60.0, "h": 3600.0, "hr": 3600.0,
+        "min": 60.0, "minute": 60.0, "minutes": 60.0, "h": 3600.0, "hr": 3600.0, "hour": 3600.0, "hours": 3600.0,
     },
     "torque": {"Nm": 1.0, "kNm": 1e3, "mNm": 1e-3, "ft-lb": 1.3558179483314, "lbf.ft": 1.3558179483314},
     "power": {"kW": 1.0, "W": 1e-3, "PS": 0.73549875, "hp": 0.745699871582},
@@ -134,6 +136,9 @@ def conversion(source_unit: str, target_unit: str) -> tuple[float, float]:
     source, target = find_unit(source_unit), find_unit(target_unit)
     if target is None:
         raise UnitError(f"unit {target_unit!r} is not known; {did_you_mean(target_unit, _TABLE)}")
+    if source is None and (found := _by_pint(source_unit, target)):
+        scale, offset = found
+        return scale / target.factor, (offset - target.offset) / target.factor
     if source is None:
         fitting = [word for word, unit in _TABLE.items() if unit.dimension == target.dimension]
         raise UnitError(
@@ -148,3 +153,29 @@ def conversion(source_unit: str, target_unit: str) -> tuple[float, float]:
             f"{ambient if gauge else ''}"
         )
     return source.factor / target.factor, (source.offset - target.offset) / target.factor
+
+
+_PINT_BASE = {
+    "absolute pressure": "kPa", "mass flow": "g/s", "velocity": "km/hour", "voltage": "V", "current": "A",
+    "time": "s", "torque": "newton*meter", "power": "kW", "length": "m", "mass": "g",
+    "acceleration": "m/s**2", "concentration": "mg/m**3", "resistance": "ohm",
+}  # fmt: skip
+"""Base units as pint writes them, of the dimensions in which it has been found right. Rotational speeds,
+ratios and temperatures are not among them: there it takes one thing for another."""
+
+
+@cache
+def _by_pint(text: str, target: Unit) -> tuple[float, float] | None:
+    """Scale and offset to the base unit of the target's dimension, of a unit that only pint knows."""
+    if target.dimension not in _PINT_BASE or find_spec("pint") is None:
+        return None
+    import pint
+
+    registry: Any = pint.UnitRegistry()
+    try:
+        low, high = (
+            registry.Quantity(v, text).to(_PINT_BASE[target.dimension]).magnitude for v in (0.0, 1.0)
+        )
+    except Exception:  # its parser raises many kinds of error on words that are no units
+        return None
+    return float(high - low), float(low)

@@ -230,7 +230,7 @@ class _Mdf:
         comment = str(signal.comment or "")
         return Signal(
             name=name,
-            unit=str(signal.unit or "").strip() or None,
+            unit=None if state else str(signal.unit or "").strip() or None,
             kind="state" if state else "continuous",
             resample="hold" if state else "linear",
             source_name=signal.name if signal.name != name else None,

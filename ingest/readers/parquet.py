@@ -137,7 +137,10 @@ class Recorder:
         self.schema = pa.schema(
             [fields[n].with_metadata(s.to_metadata()) for n, s in signals.items() if n in fields]
         )
-        self.writer = pq.ParquetWriter(path, self.schema, compression="zstd", write_page_checksum=True)
+        words = [f.name for f in self.schema if not pa.types.is_floating(f.type)]  # measurements rarely repeat
+        self.writer = pq.ParquetWriter(
+            path, self.schema, compression="zstd", use_dictionary=words or False, write_page_checksum=True
+        )
         self.row_groups: list[str] = []
         self.counts = dict.fromkeys(first.groups, 0)
 

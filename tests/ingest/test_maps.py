@@ -7,7 +7,8 @@ import pytest
 
 from ingest.errors import LogError, MapError, UnitError
 from ingest.log import Group, Log, Signal
-from ingest.maps import NameMap, SignalMap, TimeMap, apply_map, load_map
+from ingest.mapping import apply_map
+from ingest.maps import NameMap, SignalMap, TimeMap, load_map
 
 
 def log_of(units: dict[str, str | None], dtype: type[pl.DataType] = pl.Float64) -> Log:
@@ -175,3 +176,50 @@ def test_unreadable_map(tmp_path: Path, content: bytes | None) -> None:
 def test_maps_that_come_along(path: Path) -> None:
     names = load_map(path)
     assert {"p_Bst", "p_Int", "W_HFM", "n_Eng"} <= set(names.signals)
+
+
+def test_sign_and_valid_range(tmp_path: Path) -> None:
+    path = tmp_path / "m.toml"
+    path.write_text(
+        '[signals.p_Bst]\nsource = "a"\nunit = "bar"\nsign = -1\nscale = 2\nvalid = [-300, 150]\n'
+        '[signals.p_Int]\nsource = ["nope", "b"]\nvalid = [0, 10]\n'
+    )
+    log = apply_map(log_of({"a": None, "b": "kPa"}), load_map(path))
+    assert log.groups["g"].frame["p_Bst"].to_list() == [-200.0, None]
+    assert "values outside the map's valid range are missing" in log.signals["p_Bst"].flags
+    assert log.signals["p_Int"].flags == ()
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("sign = 2", "sign is 2; expected 1 or -1"),
+        ("valid = [3, 1]", r"valid is \[3, 1\]"),
+        ("valid = 3", "valid is 3"),
+    ],
+)
+def test_wrong_sign_or_range(tmp_path: Path, line: str, words: str) -> None:
+    path = tmp_path / "m.toml"
+    path.write_text(f'[signals.p_Bst]\nsource = "a"\n{line}\n')
+    with pytest.raises(MapError, match=words):
+        load_map(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "unit", "dtype", "kind"),
+    [
+        ("p", None, pl.Float64, "continuous"),
+        ("ActGear", None, pl.Float64, "state"),
+        ("gear_ratio", "1/min", pl.Float64, "continuous"),
+        ("msg_counter", None, pl.Float64, "counter"),
+        ("anything", None, pl.UInt8, "state"),
+        ("anything", "km/h", pl.UInt8, "continuous"),
+        ("n_Eng", None, pl.Int16, "continuous"),
+        ("x", None, pl.Boolean, "state"),
+    ],
+)
+def test_states_and_counters_are_not_to_be_interpolated(
+    name: str, unit: str | None, dtype: type[pl.DataType], kind: str
+) -> None:
+    signal = apply_map(log_of({name: unit}, dtype), NameMap()).signals[name]
+    assert (signal.kind, signal.resample) == (kind, "linear" if kind == "continuous" else "hold")

@@ -95,3 +95,21 @@ def test_unknown_unit_lists_near_ones() -> None:
 def test_canonical_units_are_known() -> None:
     assert len(CANONICAL) == 21
     assert all(conversion(u, u) == (1.0, 0.0) for u in CANONICAL.values())
+
+
+def test_units_that_only_pint_knows() -> None:
+    pytest.importorskip("pint")
+    assert conversion("slug/minute", "g/s")[0] == pytest.approx(14593.90294 / 60, rel=1e-6)
+    assert conversion("ft*lbf", "Nm")[0] == pytest.approx(1.3558179483314)
+    assert conversion("yard/minute", "m/s")[0] == pytest.approx(0.9144 / 60)
+
+
+@pytest.mark.parametrize(
+    ("word", "target"),
+    [("U/fortnight", "rpm"), ("1/fortnight", "rpm"), ("turn/day", "rpm"), ("delta_degC", "K"),
+     ("furlong", "kPa"), ("lambda", "m"), ("kPa abs rel", "kPa"), ("", "kPa"), ("1e999 m", "m"),
+     ("__import__('os')", "m")],
+)  # fmt: skip
+def test_where_pint_would_guess_it_is_not_asked(word: str, target: str) -> None:
+    with pytest.raises(UnitError):
+        conversion(word, target)

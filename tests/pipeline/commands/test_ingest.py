@@ -92,3 +92,26 @@ def test_inspect_of_a_large_log_reads_the_header_only(
     assert list(report["signals"]) == list(read_header(path).signals)
     assert main(["inspect", str(path), "--json", "--full"]) == 0
     assert json.loads(capsys.readouterr().out)["checked"] == "whole file"
+
+
+def test_inspect_proposes_a_map_and_applies_nothing(bench: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, saved = bench / "c.csv", bench / "proposed.toml"
+    path.write_text("time;Ladedruck;engine speed\ns;mbar;U/min\n0;1500;900\n1;1510;910\n")
+    assert main(["inspect", str(path), "--json", "--save-map", str(saved)]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["proposed"] == {"p_Bst": "Ladedruck", "n_Eng": "engine speed"}
+    assert list(report["signals"]) == ["Ladedruck", "engine speed"]
+    assert read_log(path, saved).values("p_Bst").tolist() == [150.0, 151.0]
+    assert main(["inspect", str(path), "--save-map", str(saved)]) == 2
+    assert "is there already" in capsys.readouterr().err
+
+
+def test_rate_and_join(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("a", "b"):
+        (tmp_path / f"{name}.csv").write_text("1,2\n3,4\n")
+    argv = ["ingest", str(tmp_path), "--out", str(tmp_path / "out"), "--rate", "10", "--join", "--json"]
+    assert main(argv) == 0
+    (row,) = json.loads(capsys.readouterr().out)
+    assert (row["log"], row["rows"], row["seconds"]) == ("a", 4, pytest.approx(0.3))
+    assert main(["inspect", str(tmp_path / "a.csv"), "--rate", "-1"]) == 2
+    assert "--rate is -1" in capsys.readouterr().err
