@@ -1,0 +1,73 @@
+"""Where the prediction-error fit starts: the slow plant from a decimated CVA model, then the fast sensor.
+
+At the full rate a subspace model of plant and sensor together misses the slow poles, as they crowd at 1 (a
+subspace horizon of 20 samples of 0.1 ms is 2 ms). So the plant is identified from the signals behind a
+low-pass filter, at a rate where its poles are apart. The sensor hardly shows there; its time constant is the
+candidate with which the structured model predicts best.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ingest.errors import LogError
+from stages.innovations import Structure, pack
+from stages.subspace import identify, lag_gram
+
+Array = NDArray[np.float64]
+SEPARATION = 1.5  # a candidate sensor is this much faster than the plant's fastest pole
+CUTOFF = 0.8  # of the decimated Nyquist frequency
+TAPS = 20  # of the low-pass filter, for each sample of the decimated signal
+
+
+@dataclass(frozen=True, kw_only=True)
+class TwoRate:
+    """``decimation``: full-rate samples to one; ``horizon``: lags of past and future at the low rate."""
+
+    decimation: int = 10
+    horizon: int = 20
+
+    @cached_property
+    def _low_pass(self) -> Array:
+        """A windowed sinc (Hamming) with gain 1 at rest."""
+        taps = TAPS * self.decimation + 1
+        t = np.arange(taps) - (taps - 1) / 2
+        h = np.sinc(t * CUTOFF / self.decimation) * np.hamming(taps)
+        return np.asarray(h / h.sum())
+
+    def least_samples(self) -> int:
+        """Samples that a window needs."""
+        return self.decimation * (4 * self.horizon) + self._low_pass.size
+
+    def plant(self, structure: Structure, u: Array, y: Array) -> tuple[float, Array, float] | None:
+        """b, (a_1 ... a_n) and the fastest pole in 1/s; None where no stable plant with positive b is
+        found."""
+        windows = np.lib.stride_tricks.sliding_window_view(np.stack([y, u]), self._low_pass.size, axis=1)
+        slow = windows[:, :: self.decimation] @ self._low_pass
+        try:
+            gram = lag_gram(slow[:1].T, slow[1:].T, self.horizon)
+            model = identify(gram, structure.dt * self.decimation, order=structure.plant_order).model
+        except (LogError, np.linalg.LinAlgError):  # signals at rest
+            return None
+        a_i = np.real(np.poly(model.poles))[1:]
+        b = float(model.gains[0, 0]) * a_i[-1]
+        usable = np.isfinite(b) and b > 0.0 and (a_i > 0.0).all() and (model.poles.real < 0.0).all()
+        return (b, a_i, float(np.abs(model.poles).max())) if usable else None
+
+    def starts(self, structure: Structure, u: Array, y: Array, last: Array | None) -> list[Array]:
+        """Parameter vectors to choose from; ``last``: that of an earlier window, whose sensor is taken on."""
+        found = self.plant(structure, u, y)
+        starts = [] if last is None else [last]
+        if found is not None:
+            b, a_i, fastest = found
+            if last is not None:
+                sensors = [(float(np.exp(last[0])), float(last[-1]))]
+            else:
+                candidates = structure.dt * 2.0 ** np.arange(-1, 8)
+                sensors = [(float(tau), 0.0) for tau in candidates if tau * fastest < 1.0 / SEPARATION]
+            starts += [pack(tau, b, a_i, c) for tau, c in sensors]
+        return starts
