@@ -26,6 +26,8 @@ DATE_NAMES = ("date", "datum", "day")
 
 _DATES = ("%Y-%m-%d", "%Y/%m/%d", "%d.%m.%Y", "%d/%m/%Y", "%m/%d/%Y", "%d-%m-%Y")
 _TIMES = ("%H:%M:%S%.f", "%I:%M:%S%.f %p", "%H:%M")
+_SLOW = 5.0  # s; few benches record so rarely, and many write ms
+_ENOUGH = 10  # rows to judge that by
 _BRACKETED = re.compile(r"^(?P<name>.*?\S)\s*(?:\[(?P<square>[^\[\]]*)\]|\((?P<round>[^()]*)\))$")
 _UNIT_ENDING = re.compile(r"^(?P<name>.+)[_ ](?P<unit>ns|us|ms|s|sec|min)$", re.IGNORECASE)
 _ELAPSED = r"^(?:(?P<h>\d+):)?(?P<m>\d+):(?P<s>\d\d?(?:\.\d+)?)$"
@@ -101,6 +103,7 @@ class Clock:
     start_ns: int | None = None
     rows: int = 0
     lost: int = 0
+    slow_step: float = 0.0  # of a time without any unit, where that makes one wonder
 
     @property
     def facts(self) -> dict[str, Any]:
@@ -108,9 +111,13 @@ class Clock:
         facts: dict[str, Any] = {}
         if self.start_ns is not None:
             facts["start_time"] = iso(self.start_ns)
-        if self.lost:
-            facts["notes"] = [f"{self.lost} rows without a time were dropped"]
-        return facts
+        notes = [f"{self.lost} rows without a time were dropped"] if self.lost else []
+        if self.slow_step:
+            notes.append(
+                f"the time has no unit and was taken as s, {self.slow_step:g} s from row to row; if not so, "
+                'a map says so: [time] unit = "ms"'
+            )
+        return facts | ({"notes": notes} if notes else {})
 
     def timed(self, frame: pl.DataFrame, column: str) -> pl.DataFrame:
         """``frame`` with ``column`` turned into ``time``, without rows that have none.
@@ -157,6 +164,9 @@ class Clock:
                 f"{self.where}: time column {values.name!r} holds {example}; expected numbers in {unit}"
             )
         time = values.cast(pl.Float64).to_numpy()
+        if not (self.wanted.unit or self.unit or ending) and len(time) >= _ENOUGH:
+            step = float(np.nanmedian(np.abs(np.diff(time)))) if np.isfinite(time).any() else 0.0
+            self.slow_step = step if step >= _SLOW else 0.0
         exact = time * scale if scale >= 1 else time / round(1 / scale)  # 300 ms is 0.3, exactly
         return pl.Series(TIME, exact)
 

@@ -23,6 +23,7 @@ NAMELESS = "no name in the file"
 _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?")
 _DATE = re.compile(r"(\d{1,4}[-./]\d{1,2}[-./]\d{1,4}[T ])?(\d+:)?\d{1,2}:\d\d([.,]\d+)?( ?[AaPp][Mm])?Z?")
 _COMMA_NUMBER = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
+csv.field_size_limit(1 << 30)  # a quote that is never closed makes one field of the rest
 _LOOK_AHEAD = 8  # rows between names and data: units, rasters, descriptions
 _SEARCHED = 500  # lines in which the row of names is looked for
 _SAMPLE = 200  # rows that decide about the decimal sign
@@ -90,7 +91,8 @@ def split(line: str, separator: str) -> list[str]:
     """The fields of a line, stripped; of spaces any number separates."""
     if separator == " ":
         return line.split()
-    fields = next(csv.reader([line], delimiter=separator), [])
+    quoted = '"' in line
+    fields = next(csv.reader([line], delimiter=separator), []) if quoted else line.split(separator)
     return [f.strip() for f in fields]
 
 

@@ -25,9 +25,11 @@ from ingest.log import Log
 from ingest.mapping import apply_map
 from ingest.maps import NameMap, load_map
 from ingest.readers import FORMATS, Reader, Recorder, Recording, Streamer, Writer, reader
+from ingest.remote import fetch
 
 WRITERS = {".mcap": "mcap", ".parquet": "parquet", ".csv": "csv", ".mf4": "mdf"}
 """Suffix -> format, for those formats that can be written."""
+_SUFFIXES = tuple(s for known in FORMATS.values() for s in known)
 
 
 def read_log(path: str | Path, map: NameMap | str | Path | None = None) -> Log:
@@ -41,7 +43,7 @@ def read_log(path: str | Path, map: NameMap | str | Path | None = None) -> Log:
         MapError: the map is wrong.
         UnitError: a canonical signal is in a unit that cannot be converted.
     """
-    path, names = Path(path), _names(map)
+    path, names = _local(path), _names(map)
     with _readable(path), ThreadPoolExecutor(1) as pool:
         digest = pool.submit(sha256, path)
         name, module = _format(path)
@@ -61,7 +63,7 @@ def read_blocks(
     Raises:
         LogError, MapError, UnitError: as :func:`read_log`.
     """
-    path, names = Path(path), _names(map)
+    path, names = _local(path), _names(map)
     with _readable(path), ThreadPoolExecutor(1) as pool:
         digest = pool.submit(sha256, path)
         name, module = _format(path)
@@ -81,7 +83,7 @@ def read_header(path: str | Path, map: NameMap | str | Path | None = None) -> Lo
 
     The fact ``rows`` counts the rows by group where the format knows.
     """
-    path, names = Path(path), _names(map)
+    path, names = _local(path), _names(map)
     with _readable(path):
         found = _format(path)[1].header(path, names)
     return _canonical(found, names, map is not None)
@@ -151,7 +153,7 @@ class _AtOnce:
 
 
 def find_logs(patterns: Iterable[str | Path]) -> list[Path]:
-    """The files meant by files, folders, globs, ``file://`` URLs and ``@list.txt`` (one of these a line).
+    """The files meant by files, folders, globs, URLs and ``@list.txt`` (one of these a line).
 
     Of a folder its own files with a suffix of a known format count, in order of their names. Each file counts
     once, where it is meant first. What means no file stands in the result as it is, so that reading it fails
@@ -200,6 +202,14 @@ def _check_types(log: Log) -> None:
                 raise LogError(f"log {log.name!r}: {name!r} cannot be written: a zero character in a name")
 
 
+def _local(path: str | Path) -> Path:
+    """The file itself, or a copy of what a URL means; ``Path`` makes one slash of two."""
+    url = re.fullmatch(r"([A-Za-z][A-Za-z0-9+.-]+):/{1,2}(.+)", str(path), re.DOTALL)
+    if url is None or Path(path).exists():
+        return Path(path)
+    return Path("/" + url[2].lstrip("/")) if url[1] == "file" else fetch(f"{url[1]}://{url[2]}", _SUFFIXES)[0]
+
+
 def _names(map: NameMap | str | Path | None) -> NameMap:
     return map if isinstance(map, NameMap) else NameMap() if map is None else load_map(map)
 
@@ -231,6 +241,8 @@ def _readable(path: Path) -> Iterator[None]:
 def _format(path: Path) -> tuple[str, Reader]:
     with path.open("rb") as file:
         head = file.read(4096)
+    if not head:
+        raise LogError(f"{path}: the file is empty")
     for name in FORMATS:
         module = reader(name)
         if module.is_mine(path, head):
@@ -245,19 +257,21 @@ def _meant(pattern: str, mistakes: list[str]) -> list[Path]:
     if len(url.scheme) > 1 and "//" in pattern:
         if url.scheme == "file":
             return _meant(unquote(url.path), mistakes)
-        mistakes.append(f"{pattern}: {url.scheme} addresses cannot be read; fetch the file first")
-        return []
+        try:
+            return fetch(pattern, _SUFFIXES)
+        except LogError as error:
+            mistakes.append(str(error))
+            return []
     if pattern.startswith("@") and not Path(pattern).exists():
         return _listed(Path(pattern[1:]), mistakes)
     path = Path(pattern)
     if path.is_file():
         return [path]
     if path.is_dir():
-        suffixes = [s for known in FORMATS.values() for s in known]
-        files = sorted(p for p in path.iterdir() if p.suffix.lower() in suffixes and p.name[0] != ".")
+        files = sorted(p for p in path.iterdir() if p.suffix.lower() in _SUFFIXES and p.name[0] != ".")
         if not files:
             mistakes.append(
-                f"{pattern}: no logs in this folder; expected files ending in {' '.join(suffixes)}"
+                f"{pattern}: no logs in this folder; expected files ending in {' '.join(_SUFFIXES)}"
             )
         return files
     if has_magic(pattern):

@@ -71,7 +71,8 @@ _UNITS: dict[str, dict[str, float]] = {
     "current": {"A": 1.0, "mA": 1e-3},
     "time": {
         "s": 1.0, "sec": 1.0, "second": 1.0, "seconds": 1.0, "ms": 1e-3, "msec": 1e-3, "us": 1e-6, "ns": 1e-9,
-        "min": 60.0, "minute": 60.0, "minutes": 60.0, "h": 3600.0, "hr": 3600.0, "hour": 3600.0, "hours": 3600.0,
+        "min": 60.0, "minute": 60.0, "minutes": 60.0, "h": 3600.0, "hr": 3600.0, "hour": 3600.0,
+        "hours": 3600.0,
     },
     "torque": {"Nm": 1.0, "kNm": 1e3, "mNm": 1e-3, "ft-lb": 1.3558179483314, "lbf.ft": 1.3558179483314},
     "power": {"kW": 1.0, "W": 1e-3, "PS": 0.73549875, "hp": 0.745699871582},

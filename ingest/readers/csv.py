@@ -29,6 +29,8 @@ from ingest.text import TextFile
 GROUP = "data"
 HEAD = 1 << 20
 _OWN = b"# dynoscope "
+_FEW = 20  # lines at the beginning that must be seen, as long as they are
+_LONGEST = 1 << 28
 _SPARSE = 0.75  # a column with a smaller share of cells has a raster of its own
 _ENOUGH = 50  # rows to judge that by
 
@@ -91,8 +93,8 @@ def _begin(file: TextFile, names: NameMap) -> tuple[dict[str, Any], Dialect, int
     """What :func:`write` put into the first line, the dialect, and the byte at which the data begin."""
     size = HEAD
     head = file.head(size)
-    while head.startswith(_OWN) and head.count(b"\n") < 2 and len(head) >= size:
-        size *= 2
+    while head.count(b"\n") < _FEW and size <= len(head) < _LONGEST:
+        size *= 4
         head = file.head(size)
     about: dict[str, Any] = {}
     skip = 0

@@ -32,7 +32,7 @@ from ingest.errors import LogError
 from ingest.log import Event, Group, Log
 from ingest.maps import NameMap
 from ingest.mcap_groups import OWN, Part, Row, channel_of, layout_of, own_group, their_groups
-from ingest.mcap_messages import decoder
+from ingest.mcap_messages import Decoder, decoder
 from ingest.mcap_reader import DAMAGE, McapFile, chunks, define, open_mcap, records
 from ingest.mcap_rows import Layout, field_names, join
 from ingest.mcap_writer import McapWriter
@@ -148,7 +148,7 @@ def _log(path: Path, file: McapFile, parts: dict[int, list[Part]], names: NameMa
                 known = with_flags(group.signals, about) if about else group.signals
                 groups[_name(channel)] = replace(group, signals=known)
                 continue
-            rows = [(t, decode(data)) for part in mine for t, data in part.messages]
+            rows = _decoded(channel, mine, decode, file.problems)
         except LogError as error:
             notes.append(str(error))
             continue
@@ -168,6 +168,22 @@ def _log(path: Path, file: McapFile, parts: dict[int, list[Part]], names: NameMa
     if about and len(events) == len(about["events"]):  # they stand in the file in order of their time
         events = [event for _, event in sorted(zip(about["events"], events, strict=True), key=itemgetter(0))]
     return Recording(Log(about.get("name", path.stem), groups, tuple(events), facts), ours=bool(about))
+
+
+def _decoded(channel: Channel, parts: list[Part], decode: Decoder, problems: list[str]) -> list[Row]:
+    """Rows of a channel without those that cannot be decoded, unless none can."""
+    rows: list[Row] = []
+    errors: list[LogError] = []
+    for log_time, data in (message for part in parts for message in part.messages):
+        try:
+            rows.append((log_time, decode(data)))
+        except LogError as error:
+            errors.append(error)
+    if errors and not rows:
+        raise errors[0]
+    if errors:
+        problems.append(f"{len(errors)} messages of channel {channel.topic} are lost: {errors[0]}")
+    return rows
 
 
 def _about(path: Path, file: McapFile) -> dict[str, Any]:

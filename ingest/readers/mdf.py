@@ -102,7 +102,9 @@ def _opened(path: Path) -> Iterator[Any]:
 def _open(asammdf: Any, path: Path) -> tuple[Any, str]:
     try:
         return asammdf.MDF(path), ""
-    except (*_DAMAGE, asammdf.blocks.utils.MdfException) as error:
+    except OSError:
+        raise
+    except Exception as error:  # on damage the library raises whatever its parser stumbles over
         return None, str(error) or type(error).__name__
 
 

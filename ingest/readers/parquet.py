@@ -137,7 +137,8 @@ class Recorder:
         self.schema = pa.schema(
             [fields[n].with_metadata(s.to_metadata()) for n, s in signals.items() if n in fields]
         )
-        words = [f.name for f in self.schema if not pa.types.is_floating(f.type)]  # measurements rarely repeat
+        # measurements rarely repeat, so a dictionary of them costs time and space
+        words = [f.name for f in self.schema if not pa.types.is_floating(f.type)]
         self.writer = pq.ParquetWriter(
             path, self.schema, compression="zstd", use_dictionary=words or False, write_page_checksum=True
         )

@@ -90,13 +90,13 @@ def test_find_logs(tmp_path: Path, log: Log, monkeypatch: pytest.MonkeyPatch) ->
     assert found("b.mcap", "nope.csv") == ["b.mcap", "nope.csv"], "reading it will fail, and the rest is done"
     Path("empty").mkdir()
     with pytest.raises(LogError) as caught:
-        found("b.mcpa", "*.mf4", "empty", "@none.txt", "s3://a/b", "there/x.csv")
+        found("b.mcpa", "*.mf4", "empty", "@none.txt", "nosuch://a/b", "there/x.csv")
     for words in (
         "b.mcpa: there is no such file; did you mean b.mcap?",
         "*.mf4: no file fits",
         "empty: no logs in this folder",
         "@none.txt: the list cannot be read",
-        "s3 addresses cannot be read",
+        "nosuch://a/b cannot be read",
         "there/x.csv: there is no folder there",
     ):
         assert words in str(caught.value)

@@ -26,7 +26,7 @@ def read(folder: Path, content: str | bytes, names: NameMap | None = None) -> Lo
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
 
 
-@settings(max_examples=150, deadline=None, derandomize=True)
+@settings(max_examples=100, deadline=None, derandomize=True)
 @given(
     rows=st.lists(st.tuples(FINITE, FINITE, st.none() | FINITE), min_size=1, max_size=6),
     separator=st.sampled_from([";", ",", "\t", "|"]),
