@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stages.templates import Template
-from stages.tracking import Average, Trend
+from stages.tracking import Average
+from stages.trend import Trend
 
 Array = NDArray[np.float64]
 
@@ -51,13 +52,13 @@ class Decision:
         empty = Average.empty(k)
         return Belief(
             whole=empty, rests=(empty,) * count, sizes=np.zeros((count, 2)),
-            trends=(Trend.at_rest(),) * count, windows=0,
+            trends=(Trend.at(0.0, 0.0),) * count, windows=0,
         )  # fmt: skip
 
     def add(self, belief: Belief, d: Array, covariance: Array) -> Belief:
         """After one more window that measured the change d (k,) with ``covariance``."""
         k, g = len(d), self.forgetting
-        information = np.asarray(np.linalg.inv(covariance + self.floor**2 * np.eye(k)), np.float64)
+        information = _inverse(covariance + self.floor**2 * np.eye(k))
         splits = [t.split(d, information) for t in self.templates]
         weights = np.array([[s.weight, s.weight] for s in splits])
         return Belief(
@@ -80,10 +81,21 @@ class Decision:
             out.append(0.5 * (none - left - np.log1p(self.change_sd**2 / variance)))
         return np.array([*out, self._unknown(*belief.whole.mean(reference))])
 
+    def size(self, belief: Belief, fault: int, reference: Array, windows: float) -> tuple[float, float]:
+        """eta of a fault that many windows after the last one's centre, and its standard deviation with
+        that of the healthy values."""
+        eta, sd = belief.trends[fault].ahead(windows)
+        healthy = self.templates[fault].split(np.zeros(len(reference)), _inverse(reference)).weight
+        return eta, float(np.hypot(sd, healthy**-0.5))
+
     def _unknown(self, d: Array, S: Array) -> float:
         values, vectors = np.linalg.eigh(S)
         along, free = (vectors.T @ d) ** 2, values + self.change_sd**2
         return float(0.5 * (along / values - along / free - np.log(free / values)).sum())
+
+
+def _inverse(M: Array) -> Array:
+    return np.asarray(np.linalg.inv(M), dtype=np.float64)
 
 
 def probabilities(evidence: Array) -> Array:

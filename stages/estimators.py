@@ -5,15 +5,15 @@ Both give ln[tau, k_s std(w_p), k_p, a_1 ... a_n], which are the indicators up t
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.innovations import Structure, fit
+from stages.innovations import Fit, Structure, fit
 from stages.subspace import identify, lag_gram
+from stages.trend import Trend
 from stages.two_rate import TwoRate
 
 Array = NDArray[np.float64]
@@ -22,16 +22,25 @@ FIRST_SD = 0.2  # the most that an indicator's logarithm may be in doubt for a f
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class Memory:
+    """What a window leaves to the next: its parameters, the state after it, and the trends of ``ln k_s``
+    and of ``ln(b / a_1)``."""
+
+    parameters: Array
+    state: Array
+    gain: Trend
+    product: Trend
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Estimate:
-    """``x``: logarithms (n + 3,); ``covariance``, ``noise_sd`` (of the measurement): None where the
-    estimator has none; ``parameters`` and ``state`` (after the window): where the next window's fit may
-    start."""
+    """``x``: logarithms (n + 3,); ``covariance``, ``noise_sd`` (of the measurement), ``memory``: None where
+    the estimator has none."""
 
     x: Array
     covariance: Array | None
-    parameters: Array | None = None
     noise_sd: float | None = None
-    state: Array | None = None
+    memory: Memory | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,45 +50,70 @@ class Innovations:
     From one window to the next the parameters are held near each other by a standard deviation of ``walk``,
     so that a window without excitation keeps them; its covariance says that it knows nothing.
 
-    A product b / a_1 that moved by D from window to window drifts inside them too, and one window cannot tell
-    whether at the output (the sensor's gain) or at the input (the plant's): b's drift is D / 2 +- D / 2.
-    """
+    One window cannot tell whether b drifts at the output (the sensor's gain) or at the input (the plant's).
+    Over several windows the trend of ``ln k_s`` is that of the sensor, the rest of the trend of b is the
+    plant's."""
 
     structure: Structure
     start: TwoRate
     walk: float = 0.5
 
-    def estimate(self, u: Array, y: Array, before: Sequence[Array], state: Array | None) -> Estimate | None:
-        """None where the window cannot be fitted, or a first one says too little.
-
-        ``before``: parameters of earlier windows, the last one last; ``state`` after the adjoining window.
-        """
-        last = before[-1] if before else None
-        half = 0.5 * float(before[-1][1] - before[-2][1]) if len(before) > 1 else 0.0
-        structure = replace(
-            self.structure, input_drift=half, input_drift_sd=np.hypot(self.structure.input_drift_sd, half)
-        )
+    def estimate(self, u: Array, y: Array, memory: Memory | None, adjoins: bool) -> Estimate | None:
+        """None where the window cannot be fitted, or a first one says too little; ``adjoins``: the window
+        begins where the one that is remembered ended."""
+        structure, last = self._drifting(memory), None if memory is None else memory.parameters
         starts = self.start.starts(structure, u, y, last)
-        if not starts:
+        state = memory.state if memory is not None and adjoins else None
+        fits: list[Fit] = []
+        if last is None:
+            walk = np.zeros((self.structure.plant_order + 3,) * 2)
+        else:
+            walk = np.diag([*[self.walk**-2] * (last.size - 1), 0.0])
+            fits.append(fit(structure, u, y, last, last, walk, state))
+            starts = [p for p in starts if structure.loss(p, u, y) + _squared(p - last, walk) < fits[0].loss]
+        for p in starts:
+            mean = p if last is None else last
+            near = fit(structure.stiff, u, y, p, mean, walk, state).p
+            fits.append(fit(structure, u, y, near, mean, walk, state))
+        if not fits:
             return None
-        mean = starts[0] if last is None else last
-        walk = np.diag([*[0.0 if last is None else self.walk**-2] * (mean.size - 1), 0.0])
-        losses = [structure.loss(p, u, y) + (p - mean) @ walk @ (p - mean) for p in starts]
-        found = fit(structure, u, y, starts[int(np.argmin(losses))], mean, walk, state)
+        found = min(fits, key=lambda f: f.loss)
         x, covariance = found.indicators
-        if not (
-            np.isfinite(x).all() and np.isfinite(covariance).all() and self._plausible(x, covariance, last)
-        ):
+        known = np.isfinite(x).all() and np.isfinite(covariance).all()
+        if not (known and self._plausible(x, covariance, last)):
             return None
-        return Estimate(
-            x=x, covariance=covariance, parameters=found.p, noise_sd=found.noise[1], state=found.state
-        )
+        return Estimate(x=x, covariance=covariance, noise_sd=found.noise[1], memory=_remember(memory, found))
+
+    def _drifting(self, memory: Memory | None) -> Structure:
+        """The structure, with the drift of b inside the window that is expected."""
+        if memory is None:
+            return self.structure
+        (product, product_v), (gain, gain_v) = memory.product.slope, memory.gain.slope
+        sd = np.sqrt(self.structure.input_drift_sd**2 + product_v + gain_v)
+        return replace(self.structure, input_drift=product - gain, input_drift_sd=float(sd))
 
     def _plausible(self, x: Array, covariance: Array, last: Array | None) -> bool:
         """The sensor is faster than the plant, and a first window knows all parameters."""
         fastest = np.abs(np.roots([1.0, *np.exp(x[3:])])).max()
         known = last is not None or np.sqrt(np.diag(covariance).max()) < FIRST_SD
         return bool(np.exp(x[0]) * fastest < 1.0 and known)
+
+
+def _squared(x: Array, information: Array) -> float:
+    return float(x @ information @ x)
+
+
+def _remember(memory: Memory | None, found: Fit) -> Memory:
+    x, covariance = found.indicators
+    measured = (x[1], covariance[1, 1]), (found.p[1], found.covariance[1, 1])
+    if memory is None:
+        gain, product = (Trend.at(float(value), float(v)) for value, v in measured)
+    else:
+        trends = memory.gain, memory.product
+        gain, product = (
+            t.follow(float(value), float(v)) for t, (value, v) in zip(trends, measured, strict=True)
+        )
+    return Memory(parameters=found.p, state=found.state, gain=gain, product=product)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,7 +126,7 @@ class Printed:
     structure: Structure
     horizon: int
 
-    def estimate(self, u: Array, y: Array, before: Sequence[Array], state: Array | None) -> Estimate | None:
+    def estimate(self, u: Array, y: Array, memory: Memory | None, adjoins: bool) -> Estimate | None:
         """None where N4SID finds no stable model of the order."""
         n = self.structure.plant_order
         try:

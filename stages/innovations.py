@@ -22,7 +22,7 @@ covariance."""
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 
 import numpy as np
@@ -34,6 +34,7 @@ from ingest.physics import zero_order_hold
 Array = NDArray[np.float64]
 STEPS = 12
 TOLERANCE = 0.03  # of minus twice the log-likelihood: a sixth of a standard deviation before the last step
+STIFF = 1e-4  # a drift that is as good as none
 CHUNK = 256  # samples whose columns are kept at once
 
 
@@ -148,6 +149,11 @@ class Structure:
     def _drifting(self) -> NDArray[np.int64]:
         return np.array([0, *self.drifting], dtype=np.int64)  # 0: b
 
+    @cached_property
+    def stiff(self) -> Structure:
+        """Without drift: Gauss-Newton is no descent while large drifts stand in for wrong parameters."""
+        return replace(self, drift_sd=STIFF, input_drift=0.0, input_drift_sd=STIFF)
+
     def gram(self, p: Array, x0: Array, u: Array, y: Array) -> tuple[Array, Array]:
         """``V' V`` for V = [J, N, e] at parameters p, J in the order of p, N the linear unknowns; and the
         state after the window that x0 leads to: the plant's output and its derivatives, and the sensor's
@@ -170,7 +176,7 @@ class Structure:
         units = np.append(unit ** np.arange(n), 1.0)
         G, x = _gram_of(n, self._drifting.size)(b * u, y, Ad, Bd[:, 0], x0 * units, a_i, self._drifting, a, c)
         T = np.zeros((len(G), len(G) - 1))  # from columns as simulated to columns of p
-        T[[0, n + 2], 0] = 1.0, -a * np.log(a)
+        T[[0, n + 2], 0] = 1.0, a * dt / tau
         T[1, 1:3] = 1.0
         T[2 : n + 2, 2 : n + 2] = np.tril(np.ones((n, n)))
         T[n + 3 :, n + 2 :] = np.eye(len(G) - n - 3)
@@ -197,12 +203,13 @@ class Structure:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Fit:
-    """A fitted window: parameters, their covariance, var e, and the state after it."""
+    """A fitted window: parameters, their covariance, var e, the state after it, and what was minimised."""
 
     p: Array
     covariance: Array
     variance: float
     state: Array
+    loss: float
     samples: int
     dt: float
 
@@ -226,7 +233,7 @@ class Fit:
         J[0, 0] = 1.0
         da = 0.5 * (1.0 / (a - c) - c / (1.0 - a * c) - 1.0 / a) + 1.0 / (1.0 - a)
         J[1, 0], J[1, n + 2], J[1, n + 3] = (
-            -da * a * np.log(a),
+            da * a * self.dt / tau,
             -0.5 * (1.0 / (a - c) + a / (1.0 - a * c)),
             0.5,
         )
@@ -282,7 +289,7 @@ def fit(
         G, _ = structure.gram(p, state, u, y)
     H = G[:-1, :-1] / v + known
     covariance = np.asarray(np.linalg.inv(H[:k, :k] - H[:k, k:] @ _solve(H[k:, k:], H[k:, :k])), np.float64)
-    return Fit(p=p, covariance=covariance, variance=v, state=end, samples=u.size, dt=structure.dt)
+    return Fit(p=p, covariance=covariance, variance=v, state=end, loss=loss, samples=u.size, dt=structure.dt)
 
 
 def _solve(M: Array, b: Array) -> Array:

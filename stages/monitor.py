@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from ingest.errors import LogError, RecipeError
 from ingest.log import TIME, Group, Log, Signal
 from stages.deciding import Belief, Decision, probabilities
-from stages.estimators import Estimate, EstimatorName, Innovations, Printed
+from stages.estimators import Estimate, EstimatorName, Innovations, Memory, Printed
 from stages.innovations import Structure
 from stages.residuals import SIGMA, Z
 from stages.results import DETECTION, EVIDENCE, PROBABILITY, SIZE, SIZE_SD, UNKNOWN
@@ -47,14 +47,12 @@ LEAST_WINDOWS = 3  # of a reference
 
 @dataclass(frozen=True, eq=False)
 class MonitorState:
-    """Samples of the unfinished window, the last two windows' parameters, when the
-    last one ended and in what state, the windows of the
-    reference so far, and what is held of the faults since it is complete."""
+    """Samples of the unfinished window; what the last fitted window left, and when it ended; the windows of
+    the reference so far, and what is held of the faults since it is complete."""
 
     rest: Rest
-    fits: tuple[Array, ...]
+    memory: Memory | None
     end: float
-    state: Array | None
     reference: tuple[Estimate, ...]
     belief: Belief
 
@@ -174,7 +172,7 @@ class Monitor:
         return self.fit(blocks)
 
     def start(self) -> MonitorState:
-        return MonitorState(self._windows.start(2), (), -np.inf, None, (), self._decision.start())
+        return MonitorState(self._windows.start(2), None, -np.inf, (), self._decision.start())
 
     def step(self, state: MonitorState, block: Log, /) -> tuple[MonitorState, Log]:
         group = block.groups[ANALYSIS]
@@ -186,9 +184,8 @@ class Monitor:
         for end, window in windows:
             u, y = np.ascontiguousarray(window.T)
             adjoins = abs(end - self.window_s - state.end) < 0.5 / self.rate_hz
-            before = state.state if adjoins else None
-            estimate = self._estimator.estimate(u, y, state.fits, before)
-            state, row = self._judge(replace(state, end=end), estimate)
+            estimate = self._estimator.estimate(u, y, state.memory, adjoins)
+            state, row = self._judge(state, estimate, end)
             rows.append({TIME: end, **row})
         frame = pl.DataFrame(rows, schema=self._schema)
         units = self._units(group.signals[self.output].unit)
@@ -214,18 +211,16 @@ class Monitor:
         units = {tau: "s", k: output, **{a: f"1/s^{i}" for i, a in enumerate(coefficients, start=1)}}
         return {NOISE: output, **{kind + n: u for n, u in units.items() for kind in (INDICATOR, SIGMA)}}
 
-    def _judge(self, state: MonitorState, estimate: Estimate | None) -> tuple[MonitorState, dict[str, Any]]:
-        """The state after a window, and its row."""
+    def _judge(
+        self, state: MonitorState, estimate: Estimate | None, end: float
+    ) -> tuple[MonitorState, dict[str, Any]]:
+        """The state after the window that ended at ``end``, and its row."""
         complete = bool(self.learned) or len(state.reference) >= self.reference_s / self.window_s
         row: dict[str, Any] = {}
-        if estimate is None:
-            state = replace(state, state=None)
-        else:
+        if estimate is not None:
             reference = self._reference(state.reference)
             row = self._indicator_columns(estimate, reference)
-            if estimate.parameters is not None:
-                state = replace(state, fits=(*state.fits, estimate.parameters)[-2:])
-            state = replace(state, state=estimate.state)
+            state = replace(state, memory=estimate.memory, end=end)
             if not complete:
                 state = replace(state, reference=(*state.reference, estimate))
             elif reference is not None:
@@ -265,8 +260,8 @@ class Monitor:
         row: dict[str, Any] = {DETECTION: int(alarm)}
         for fault, e, probability in zip(faults, evidence, p, strict=True):
             row |= {EVIDENCE + fault: e, PROBABILITY + fault: probability}
-        for fault, trend in zip(self.faults, state.belief.trends, strict=True):
-            eta, sd = trend.ahead(0.5)
+        for i, fault in enumerate(self.faults):
+            eta, sd = self._decision.size(state.belief, i, reference.covariance, 0.5)
             row |= {SIZE + fault: np.expm1(eta), SIZE_SD + fault: np.exp(eta) * sd}
-            row[RATE + fault] = trend.state[1] / self.window_s
+            row[RATE + fault] = state.belief.trends[i].slope[0] / self.window_s
         return row

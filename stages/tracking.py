@@ -1,4 +1,4 @@
-"""Tracking: the healthy indicators, how far the present ones are from them, and how a fault grows."""
+"""Tracking: the healthy indicators, and how far the present ones are from them."""
 
 from __future__ import annotations
 
@@ -8,11 +8,21 @@ from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtri
 
 from stages.estimators import Estimate
 
 Array = NDArray[np.float64]
-LEVEL_SD, SLOPE_SD = 0.005, 0.003  # by how much a fault's logarithm may depart from its trend in a window
+
+
+FAR, FAR_SD = (
+    1e-9,
+    0.02,
+)  # a window that is less probable than FAR, given what a median may be off, is an outlier
+
+
+def _squares(d: Array, covariance: Array) -> float:
+    return float(d @ np.linalg.solve(covariance, d))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -26,17 +36,21 @@ class Reference:
 
     @classmethod
     def of(cls, windows: Sequence[Estimate]) -> Self:
-        """The information-weighted mean; medians and median absolute deviations where nothing is known of the
-        covariance."""
+        """The information-weighted mean of all windows but outliers; medians and median absolute deviations
+        where nothing is known of the covariance."""
         x = np.array([e.x for e in windows])
         known = [e.covariance for e in windows if e.covariance is not None]
         if len(known) < len(windows):
             mean = np.median(x, axis=0)
             spread = np.diag((1.4826 * np.median(np.abs(x - mean), axis=0)) ** 2)
             return cls(mean=mean, covariance=spread * np.pi / 2 / len(x), spread=spread)
-        information = np.linalg.inv(np.array(known))
+        P, middle = np.array(known), np.median(x, axis=0)
+        doubt = P + FAR_SD**2 * np.eye(len(middle))
+        apart = np.array([_squares(d, S) for d, S in zip(x - middle, doubt, strict=True)])
+        inside = apart <= max(chdtri(x.shape[1], FAR), float(np.median(apart)))
+        information = np.linalg.inv(P[inside])
         covariance = np.linalg.inv(information.sum(axis=0))
-        mean = covariance @ np.einsum("tij,tj->i", information, x)
+        mean = covariance @ np.einsum("tij,tj->i", information, x[inside])
         return cls(mean=mean, covariance=covariance, spread=np.full_like(covariance, np.nan))
 
     def change(self, estimate: Estimate) -> tuple[Array, Array]:
@@ -78,29 +92,3 @@ class Average:
         """The average and its covariance."""
         inverse = np.linalg.inv(self.J)
         return inverse @ self.h, inverse @ self.M @ inverse + reference
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Trend:
-    """Level and slope of a fault's size eta at a window's centre, a Kalman filter; slopes are by window."""
-
-    state: Array
-    covariance: Array
-
-    @classmethod
-    def at_rest(cls) -> Self:
-        return cls(state=np.zeros(2), covariance=np.zeros((2, 2)))
-
-    def follow(self, eta: float, variance: float) -> Self:
-        """After one more window that measured ``eta``."""
-        F = np.array([[1.0, 1.0], [0.0, 1.0]])
-        x = F @ self.state
-        P = F @ self.covariance @ F.T + np.diag([LEVEL_SD**2, SLOPE_SD**2])
-        gain = P[:, 0] / (P[0, 0] + variance)
-        return type(self)(state=x + gain * (eta - x[0]), covariance=P - np.outer(gain, P[0]))
-
-    def ahead(self, windows: float) -> tuple[float, float]:
-        """eta that many windows later, and its standard deviation."""
-        g = np.array([1.0, windows])
-        variance = float(g @ self.covariance @ g) + (LEVEL_SD**2 + SLOPE_SD**2 * windows**2) * windows
-        return float(g @ self.state), float(np.sqrt(variance))

@@ -61,13 +61,10 @@ class TwoRate:
     def starts(self, structure: Structure, u: Array, y: Array, last: Array | None) -> list[Array]:
         """Parameter vectors to choose from; ``last``: that of an earlier window, whose sensor is taken on."""
         found = self.plant(structure, u, y)
-        starts = [] if last is None else [last]
-        if found is not None:
-            b, a_i, fastest = found
-            if last is not None:
-                sensors = [(float(np.exp(last[0])), float(last[-1]))]
-            else:
-                candidates = structure.dt * 2.0 ** np.arange(-1, 8)
-                sensors = [(float(tau), 0.0) for tau in candidates if tau * fastest < 1.0 / SEPARATION]
-            starts += [pack(tau, b, a_i, c) for tau, c in sensors]
-        return starts
+        if found is None:
+            return []
+        b, a_i, fastest = found
+        if last is not None:
+            return [pack(float(np.exp(last[0])), b, a_i, float(last[-1]))]
+        candidates = structure.dt * 2.0 ** np.arange(-1, 8)
+        return [pack(float(tau), b, a_i, 0.0) for tau in candidates if tau * fastest < 1.0 / SEPARATION]

@@ -1,0 +1,51 @@
+"""Trend: level and slope of a quantity measured once a window, a Kalman filter."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+LEVEL_SD, SLOPE_SD = 0.005, 0.003  # by how much a logarithm may depart from its trend in a window
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Trend:
+    """``state``: level at the last window's centre and slope by window, with ``covariance`` (2, 2).
+
+    >>> trend = Trend.at(0.0, 0.0)
+    >>> for t in range(1, 60):
+    ...     trend = trend.follow(0.01 * t, 1e-4)
+    >>> [round(float(x), 3) for x in trend.state], round(trend.ahead(2.0)[0], 3)
+    ([0.59, 0.01], 0.61)
+    """
+
+    state: Array
+    covariance: Array
+
+    @classmethod
+    def at(cls, level: float, variance: float) -> Self:
+        """A level at rest."""
+        return cls(state=np.array([level, 0.0]), covariance=np.diag([variance, 0.0]))
+
+    def follow(self, value: float, variance: float) -> Self:
+        """After one more window that measured ``value``."""
+        F = np.array([[1.0, 1.0], [0.0, 1.0]])
+        x = F @ self.state
+        P = F @ self.covariance @ F.T + np.diag([LEVEL_SD**2, SLOPE_SD**2])
+        gain = P[:, 0] / (P[0, 0] + variance)
+        return type(self)(state=x + gain * (value - x[0]), covariance=P - np.outer(gain, P[0]))
+
+    def ahead(self, windows: float) -> tuple[float, float]:
+        """The level that many windows later, and its standard deviation."""
+        g = np.array([1.0, windows])
+        variance = float(g @ self.covariance @ g) + (LEVEL_SD**2 + SLOPE_SD**2 * windows**2) * windows
+        return float(g @ self.state), float(np.sqrt(variance))
+
+    @property
+    def slope(self) -> tuple[float, float]:
+        """Slope by window and its variance."""
+        return float(self.state[1]), float(self.covariance[1, 1])

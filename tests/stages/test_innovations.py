@@ -1,0 +1,145 @@
+"""The structured fit against theory, finite differences and simulated windows."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from ingest.simulators.throttle import Throttle, plant_coefficients, simulate_throttle
+from stages.innovations import Fit, Structure, fit, pack, unpack
+
+Array = NDArray[np.float64]
+P = Throttle()
+B, *A_I = plant_coefficients(P)
+TRUTH = pack(P.tau_TPS, B * P.k_TPS, np.array(A_I), 0.09)
+STRUCTURE = Structure(plant_order=3, dt=1e-4, drifting=(2,))
+FREE = np.zeros((6, 6))
+
+
+def window(seed: int, samples: int = 10_000, **overrides: float) -> tuple[Array, Array]:
+    log = simulate_throttle(seed=seed, duration_s=1.0 + samples * 1e-4, overrides=overrides)
+    return log.values("e_a")[10_000:], log.values("theta_ang")[10_000:]
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.floats(1e-4, 1e-3), st.floats(1e-4, 1e-1), st.floats(2e-4, 1e-2))
+def test_spectra_of_both_descriptions_agree(tau: float, k_w: float, sd_n: float) -> None:
+    """k^2 |(1-a) / (e^jw - a)|^2 + sd_n^2 = s2 |(e^jw - c) / (e^jw - a)|^2, solved for c and s2, gives k,
+    sd_n back."""
+    a = np.exp(-1e-4 / tau)
+    # (1 + a^2 - 2 a cos w) sd_n^2 + k^2 (1-a)^2 = s2 (1 + c^2 - 2 c cos w)
+    even, odd = (1 + a * a) * sd_n**2 + (k_w * (1 - a)) ** 2, a * sd_n**2
+    c = (even - np.sqrt(even**2 - 4 * odd**2)) / (2 * odd)
+    p = pack(tau, 1.0, np.array([1.0]), c)
+    found = Fit(
+        p=p, covariance=np.eye(4), variance=odd / c, state=np.zeros(2), loss=0.0, samples=100, dt=1e-4
+    )  # fmt: skip
+    assert found.noise == pytest.approx((k_w, sd_n), rel=1e-3)
+
+
+def test_indicators_jacobian_is_that_of_finite_differences() -> None:
+    base = Fit(
+        p=TRUTH,
+        covariance=np.diag(np.arange(1.0, 7.0)),
+        variance=2e-6,
+        state=np.zeros(4),
+        loss=0.0,
+        samples=500,
+        dt=1e-4,
+    )
+    step, columns = 1e-6, []
+    for i in range(6):
+        moved = replace(base, p=TRUTH + step * np.eye(6)[i])
+        columns.append((moved.indicators[0] - base.indicators[0]) / step)
+    louder = replace(base, variance=base.variance * np.exp(step))
+    J = np.stack([*columns, (louder.indicators[0] - base.indicators[0]) / step], axis=1)
+    expected = J @ np.diag([*np.arange(1.0, 7.0), 2 / 500]) @ J.T
+    np.testing.assert_allclose(base.indicators[1], expected, rtol=1e-4, atol=1e-6)
+
+
+def test_sensitivities_are_those_of_finite_differences() -> None:
+    """J' e of the compiled loop is the derivative of the squares, the innovations being filtered from
+    outside."""
+    u, y = window(1, 800)
+    x0 = np.zeros(4)
+
+    def squares(p: Array) -> float:
+        return float(STRUCTURE.gram(p, x0, u, y)[0][-1, -1])
+
+    G, _ = STRUCTURE.gram(TRUTH, x0, u, y)
+    for i in range(6):
+        h = 1e-5 * np.eye(6)[i]
+        slope = (squares(TRUTH + h) - squares(TRUTH - h)) / 2e-5
+        assert -2 * G[i, -1] == pytest.approx(slope, rel=1e-4)
+
+
+def test_innovations_are_those_of_a_filter() -> None:
+    """From zero state: e = (q - a) / (q - c) (y - simulated)."""
+    quiet = {"sd_w_p": 0.0, "sd_w_n": 0.0}
+    log = simulate_throttle(seed=3, duration_s=0.2, overrides=quiet)
+    u, y = log.values("e_a"), log.values("theta_ang")
+    G, end = STRUCTURE.gram(TRUTH, np.zeros(4), u, y)
+    assert G[-1, -1] < 1e-11 * u.size  # the simulator's log is float32
+    assert end[0] / P.k_TPS == pytest.approx(log.values("truth.theta")[-1], abs=1e-3)
+    noisy = y + np.random.default_rng(0).normal(size=y.size)
+    a, c = np.exp(-1e-4 / P.tau_TPS), TRUTH[-1]
+    e = lfilter([1.0, -a], [1.0, -c], noisy - y)
+    assert STRUCTURE.gram(TRUTH, np.zeros(4), u, noisy)[0][-1, -1] == pytest.approx(float(e @ e), rel=1e-4)
+
+
+def test_estimates_are_unbiased_and_as_spread_as_they_say() -> None:
+    """40 windows from the truth: z has standard deviation 1; so the Cramer-Rao bound is reached."""
+    k = P.k_TPS * P.sd_w_p
+    truth = np.log([P.tau_TPS, k, B * P.k_TPS / k, *A_I])
+    z, sd = [], []
+    for seed in range(8):
+        log = simulate_throttle(seed=seed, duration_s=6.0)
+        u, y = log.values("e_a"), log.values("theta_ang")
+        for first in range(10_000, 60_000, 10_000):
+            part = slice(first, first + 10_000)
+            x, covariance = fit(STRUCTURE, u[part], y[part], TRUTH, TRUTH, FREE).indicators
+            sd.append(np.sqrt(np.diag(covariance)))
+            z.append((x - truth) / sd[-1])
+    assert np.abs(np.mean(z, axis=0)).max() < 3.0 / np.sqrt(len(z))
+    np.testing.assert_allclose(np.std(z, axis=0), 1.0, atol=0.35)
+    assert (np.median(sd, axis=0) < [0.06, 0.03, 0.035, 0.03, 0.03, 0.03]).all()
+
+
+@pytest.mark.parametrize("factor", [0.85, 1.15])
+def test_converges_from_a_poor_start(factor: float) -> None:
+    u, y = window(2)
+    start = TRUTH + np.log(factor) * np.array([1.0, 0.2, 0.0, 0.3, -0.2, 0.0])
+    one, two = fit(STRUCTURE, u, y, start, start, FREE), fit(STRUCTURE, u, y, TRUTH, TRUTH, FREE)
+    np.testing.assert_allclose(one.p, two.p, atol=0.2 * np.sqrt(np.diag(two.covariance)).max())
+
+
+def test_noise_of_both_kinds_is_told_apart() -> None:
+    """Twice the measurement noise moves neither time constant nor gain."""
+    for sd_n in (1e-3, 2e-3):
+        u, y = window(5, 40_000, sd_w_n=sd_n)
+        found = fit(STRUCTURE, u, y, TRUTH, TRUTH, FREE)
+        k, n = found.noise
+        assert n == pytest.approx(sd_n, rel=0.1)
+        assert k == pytest.approx(P.k_TPS * P.sd_w_p, rel=0.06)
+
+
+def test_a_window_at_rest_keeps_the_prior_and_says_so() -> None:
+    u, y = window(6, pedal_min=0.5, pedal_max=0.5)
+    prior = np.diag([4.0] * 5 + [0.0])
+    state = np.array([P.k_TPS * 0.5, 0.0, 0.0, P.k_TPS * 0.5])
+    found = fit(STRUCTURE, u, y, TRUTH, TRUTH, prior, state)
+    sd = np.sqrt(np.diag(found.indicators[1]))
+    assert (sd[:2] < 0.07).all()  # the noise tells of the sensor
+    assert (sd[3:] > 0.2).all()
+
+
+def test_pack_and_unpack() -> None:
+    tau, b, a_i, c = unpack(TRUTH)
+    np.testing.assert_allclose(pack(tau, b, a_i, c), TRUTH)
+    np.testing.assert_allclose([tau, b, *a_i], [P.tau_TPS, B * P.k_TPS, *A_I], rtol=1e-9)
