@@ -6,7 +6,7 @@ of a signal, a note) stands in the part where it was found; the facts of the las
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 
 import polars as pl
@@ -25,14 +25,14 @@ def join(parts: Iterable[Log]) -> Log:
         LogError: there are none.
     """
     whole: Log | None = None
-    frames: dict[str, list[pl.DataFrame]] = {}
+    found: dict[str, list[Group]] = {}
     for part in parts:
         whole = part if whole is None else follow(whole, part)
         for name, group in part.groups.items():
-            frames.setdefault(name, []).append(group.frame)
+            found.setdefault(name, []).append(group)
     if whole is None:
         raise LogError("no part of a log to join")
-    groups = {k: replace(g, frame=_concat(frames[k])) for k, g in whole.groups.items()}
+    groups = {k: _end_to_end(found[k], g.signals) for k, g in whole.groups.items()}
     return replace(whole, groups=groups)
 
 
@@ -59,6 +59,8 @@ def _both(before: Signal, now: Signal) -> Signal:
     return replace(now, flags=tuple(dict.fromkeys((*before.flags, *now.flags))))
 
 
-def _concat(frames: list[pl.DataFrame]) -> pl.DataFrame:
-    filled = [f for f in frames if f.height] or frames[:1]
-    return filled[0] if len(filled) == 1 else pl.concat(filled)
+def _end_to_end(groups: list[Group], signals: Mapping[str, Signal]) -> Group:
+    filled = [g for g in groups if g.frame.height] or groups[:1]
+    if len(filled) == 1 and dict(filled[0].signals) == dict(signals):
+        return filled[0]
+    return Group(filled[0].name, pl.concat([g.frame for g in filled]), signals)

@@ -25,7 +25,7 @@ _DATE = re.compile(r"(\d{1,4}[-./]\d{1,2}[-./]\d{1,4}[T ])?(\d+:)?\d{1,2}:\d\d([
 _COMMA_NUMBER = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
 csv.field_size_limit(1 << 30)  # a quote that is never closed makes one field of the rest
 _LOOK_AHEAD = 8  # rows between names and data: units, rasters, descriptions
-_SEARCHED = 500  # lines in which the row of names is looked for
+_SEARCHED = 200  # lines in which the row of names is looked for
 _SAMPLE = 200  # rows that decide about the decimal sign
 
 
@@ -100,6 +100,8 @@ def _find(text: Sequence[str], separator: str, time: TimeMap) -> tuple[str, int,
     """Separator, index of the row of names and index of the first row of data."""
     for at, line in enumerate(text[:_SEARCHED]):
         names = split(line, separator)
+        if 2 * sum(bool(_NUMBER.fullmatch(n)) for n in names) > len(names):
+            continue
         wanted = time_column(names, time) if len(names) > 1 else None
         unnamed = wanted is None
         if unnamed and (time.rate is None or len(names) < 2 or any(map(_NUMBER.fullmatch, names))):

@@ -7,7 +7,7 @@ import os
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
@@ -45,8 +45,8 @@ def read_log(path: str | Path, map: NameMap | str | Path | None = None) -> Log:
     """
     path, names = _local(path), _names(map)
     with _readable(path), ThreadPoolExecutor(1) as pool:
-        digest = pool.submit(sha256, path)
         name, module = _format(path)
+        digest = _digest(pool, path, module)
         found = _with_source(module.read(path, names), path, name, digest)
     return _canonical(found, names, map is not None)
 
@@ -65,8 +65,8 @@ def read_blocks(
     """
     path, names = _local(path), _names(map)
     with _readable(path), ThreadPoolExecutor(1) as pool:
-        digest = pool.submit(sha256, path)
         name, module = _format(path)
+        digest = _digest(pool, path, module)
         parts = (
             cast(Streamer, module).blocks(path, names)
             if hasattr(module, "blocks")
@@ -214,11 +214,16 @@ def _names(map: NameMap | str | Path | None) -> NameMap:
     return map if isinstance(map, NameMap) else NameMap() if map is None else load_map(map)
 
 
-def _with_source(found: Recording, path: Path, name: str, digest: Future[str]) -> Recording:
+def _digest(pool: ThreadPoolExecutor, path: Path, module: Reader) -> Callable[[], str]:
+    """The file's digest, made while it is read; where it may be one of ours, only when it is asked for."""
+    return partial(sha256, path) if hasattr(module, "Recorder") else pool.submit(sha256, path).result
+
+
+def _with_source(found: Recording, path: Path, name: str, digest: Callable[[], str]) -> Recording:
     """Notes the file and its digest, unless the log is one of ours, which knows its source."""
     if found.ours:
         return found
-    source = {"file": path.name, "format": name, "sha256": digest.result()}
+    source = {"file": path.name, "format": name, "sha256": digest()}
     return found._replace(log=replace(found.log, facts={**source, **found.log.facts}))
 
 

@@ -53,7 +53,8 @@ def apply_map(log: Log, names: NameMap) -> Log:
                 column, new = _within(column, new, entry.valid)
             columns.append(column)
             signals[target] = _with_kind(new, column.dtype, entry)
-        groups[key] = Group(group.name, pl.DataFrame(columns), signals)
+        same = signals == dict(group.signals)
+        groups[key] = group if same else Group(group.name, pl.DataFrame(columns), signals)
     facts = {**log.facts, **({} if names.vehicle is None else {"vehicle": names.vehicle})}
     if notes:
         facts["notes"] = list(dict.fromkeys([*facts.get("notes", ()), *notes]))

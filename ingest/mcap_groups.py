@@ -19,7 +19,7 @@ from ingest.clock import Clock
 from ingest.log import TIME, Group, Signal
 from ingest.maps import TimeMap, match
 from ingest.mcap_messages import Decoder
-from ingest.mcap_rows import Layout, field_names, field_type
+from ingest.mcap_rows import Column, Layout, field_names, field_type
 
 OWN = "dynoscope"
 Row = tuple[int, Mapping[str, Any]]
@@ -30,7 +30,7 @@ Row = tuple[int, Mapping[str, Any]]
 class Part:
     """Consecutive rows of a channel: as columns, or as messages with their log times."""
 
-    columns: dict[str, pl.Series] = field(default_factory=dict)
+    columns: dict[str, Column] = field(default_factory=dict)
     messages: list[tuple[int, bytes]] = field(default_factory=list)
 
     @property
@@ -63,11 +63,8 @@ def layout_of(channel: Channel, schemas: Mapping[int, Schema]) -> Layout | None:
 
 def own_group(channel: Channel, layout: Layout, parts: Sequence[Part], decode: Decoder) -> Group:
     """The group that :func:`channel_of` made a channel of."""
-    tables = [
-        pl.DataFrame(p.columns) if p.columns else layout.frame([decode(data) for _, data in p.messages])
-        for p in parts
-    ]
-    raw = pl.concat(tables) if tables else layout.frame([])
+    tables = [p.columns or layout.rows([decode(data) for _, data in p.messages]) for p in parts]
+    raw = layout.columns(tables)
     about: dict[str, dict[str, str]] = defaultdict(dict)
     for key, value in channel.metadata.items():
         what, _, of = key.partition(".")

@@ -9,9 +9,12 @@ from __future__ import annotations
 import mmap
 import struct
 import zlib
+from collections import deque
 from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from io import BytesIO
+from itertools import islice
 from pathlib import Path
 
 from mcap.data_stream import ReadDataStream
@@ -24,6 +27,7 @@ from zstandard import ZstdError, frame_content_size
 
 _FOOTER = struct.Struct("<BQQQI")
 _RECORD = struct.Struct("<BQ")
+_AHEAD = 4  # chunks being unpacked
 _LARGEST = 1 << 30  # bytes of an unpacked chunk
 DAMAGE = (McapError, struct.error, ValueError, OverflowError, MemoryError, RuntimeError, ZstdError)
 """What parsing and unpacking raise on bytes that are not what they should be."""
@@ -64,13 +68,21 @@ def open_mcap(path: Path) -> McapFile:
 
 def chunks(file: McapFile) -> Iterator[memoryview]:
     """The records of each chunk, unpacked and checked; damaged ones are left out and noted as problems."""
-    for first, end in file.spans:
-        try:
-            unpacked = _unpack(file.data, first, end)
-        except DAMAGE as error:
-            file.problems.append(f"the chunk at byte {first} is damaged ({error}); its rows are lost")
-        else:
-            yield unpacked
+    with ThreadPoolExecutor(2) as pool:  # unpacking runs outside the interpreter
+        ahead: deque[tuple[int, Future[memoryview]]] = deque()
+        spans = iter(file.spans)
+        while True:
+            for first, end in islice(spans, _AHEAD - len(ahead)):
+                ahead.append((first, pool.submit(_unpack, file.data, first, end)))
+            if not ahead:
+                return
+            at, unpacked = ahead.popleft()
+            try:
+                content = unpacked.result()
+            except DAMAGE as error:
+                file.problems.append(f"the chunk at byte {at} is damaged ({error}); its rows are lost")
+            else:
+                yield content
 
 
 def records(data: memoryview, start: int, end: int) -> Iterator[tuple[int, int, int]]:

@@ -24,7 +24,7 @@ from google.protobuf.message_factory import GetMessageClass
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
-from ingest.mcap_text import encode_text, interleave, take_apart, varint
+from ingest.mcap_text import Texts, encode_text, interleave, take_apart, varint
 from ingest.mcap_writer import Batch
 
 CHUNK_BYTES = 1 << 20
@@ -39,6 +39,8 @@ _RAW = {
     "sfixed64": pl.Int64,
     "fixed64": pl.UInt64,
 }
+Column = NDArray[Any] | pl.Series
+"""Numbers as an array, text as a series."""
 _PROTO = {t: getattr(FieldDescriptorProto, f"TYPE_{t.upper()}") for t in _RAW}
 
 
@@ -131,29 +133,39 @@ class Layout:
         """The rows as batches of about 1 MiB, numbered from ``first``; ``columns`` in order of the fields."""
         rows = max(1, CHUNK_BYTES // self.record[0].itemsize)
         raw = {f: c.cast(_RAW[t]) for c, (f, t) in zip(columns, self.fields.items(), strict=True)}
+        arrays = {
+            f: c.fill_null(float("nan") if c.dtype.is_float() else 0).to_numpy()
+            for f, c in raw.items()
+            if f not in self.texts
+        }
+        lacking = [c for f, c in raw.items() if not c.dtype.is_float() and f in arrays and c.null_count()]
         for start in range(0, len(log_time), rows):
-            part = {f: c.slice(start, rows) for f, c in raw.items()}
-            stamps = log_time[start : start + rows]
-            if any(c.null_count() for f, c in part.items() if self.fields[f] in ("sfixed64", "fixed64")):
-                yield from join(self.channel_id, self._messages(part), stamps, first + start)
-            else:
-                yield self._batch(part, stamps, first + start)
+            part = slice(start, start + rows)
+            if any(c.slice(start, rows).null_count() for c in lacking):
+                messages = self._messages({f: c.slice(start, rows) for f, c in raw.items()})
+                yield from join(self.channel_id, messages, log_time[part], first + start)
+                continue
+            numbers = {f: a[part] for f, a in arrays.items()}
+            texts = [encode_text(raw[f].slice(start, rows), tag) for f, tag in self.texts.items()]
+            yield self._batch(numbers, texts, log_time[part], first + start)
 
-    def _batch(self, columns: Mapping[str, pl.Series], log_time: NDArray[np.uint64], first: int) -> Batch:
+    def _batch(
+        self,
+        numbers: Mapping[str, NDArray[Any]],
+        texts: Sequence[Texts],
+        log_time: NDArray[np.uint64],
+        first: int,
+    ) -> Batch:
         dtype, template, _ = self.record
         n = len(log_time)
         records = np.tile(template, n).view(dtype)
         records["sequence"] = np.arange(first, first + n)
         records["log_time"] = records["publish_time"] = log_time
-        for field, column in columns.items():
-            if column.dtype.is_float():
-                column = column.fill_null(float("nan"))
-            if field not in self.texts:
-                records[f".{field}"] = column.to_numpy()
-        if not self.texts:
+        for field, values in numbers.items():
+            records[f".{field}"] = values
+        if not texts:
             offset = np.arange(n, dtype=np.uint64) * np.uint64(dtype.itemsize)
             return Batch(self.channel_id, records.tobytes(), log_time, offset)
-        texts = [encode_text(columns[field], tag) for field, tag in self.texts.items()]
         length = dtype.itemsize + np.stack([t.length for t in texts]).sum(axis=0)
         records["length"] = length - 9
         data, start = interleave(records.view(np.uint8).reshape(n, -1), length, texts)
@@ -168,7 +180,7 @@ class Layout:
             given = {f: v for f, v in zip(self.fields, values, strict=True) if v is not None}
             yield message(**given).SerializeToString()
 
-    def decode(self, records: memoryview) -> dict[str, pl.Series] | None:
+    def decode(self, records: memoryview) -> dict[str, Column] | None:
         """Field -> values of a chunk's rows; None if a byte is not as this layout has it."""
         dtype, template, constant = self.record
         data = np.frombuffer(records, np.uint8)
@@ -185,14 +197,22 @@ class Layout:
         if ((matrix ^ template) & constant).any():
             return None
         rows = matrix.reshape(-1).view(dtype)
-        columns = {f: texts[f] if f in texts else pl.Series(f, rows[f".{f}"].copy()) for f in self.fields}
-        return columns
+        return {f: texts[f] if f in texts else rows[f".{f}"] for f in self.fields}
 
-    def frame(self, rows: Sequence[Mapping[str, Any]]) -> pl.DataFrame:
-        """Decoded messages as a table of the fields; what a message leaves out is null."""
-        return pl.DataFrame(
-            [pl.Series(f, [r.get(f) for r in rows], dtype=_RAW[t]) for f, t in self.fields.items()]
-        )
+    def rows(self, rows: Sequence[Mapping[str, Any]]) -> dict[str, Column]:
+        """Decoded messages as columns of the fields; what a message leaves out is null."""
+        return {f: pl.Series(f, [r.get(f) for r in rows], dtype=_RAW[t]) for f, t in self.fields.items()}
+
+    def columns(self, parts: Sequence[Mapping[str, Column]]) -> dict[str, pl.Series]:
+        """Parts end to end."""
+        return {f: _end_to_end(f, [p[f] for p in parts], _RAW[t]) for f, t in self.fields.items()}
+
+
+def _end_to_end(name: str, parts: Sequence[Column], dtype: Any) -> pl.Series:
+    if parts and all(isinstance(p, np.ndarray) for p in parts):
+        return pl.Series(name, np.concatenate(parts))
+    series = [p if isinstance(p, pl.Series) else pl.Series(name, p) for p in parts]
+    return pl.concat(series) if series else pl.Series(name, [], dtype=dtype)
 
 
 def join(

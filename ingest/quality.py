@@ -161,15 +161,24 @@ class Samples:
             )
 
     def _add_steps(self, t: Floats, x: Floats) -> None:
-        had = len(self.tail[1])
-        t, x = np.append(self.tail[0], t), np.append(self.tail[1], x)
-        self.tail = t[-4:].copy(), x[-4:].copy()
+        before_t, before = self.tail
+        if len(x) < _MANY:  # few enough to look at them with the four before
+            self._look(np.append(before_t, t), np.append(before, x))
+        else:
+            self._look(np.append(before_t, t[:4]), np.append(before, x[:4]))
+            self._look(t, x)
         step = np.diff(x)
-        new = step[max(had - 1, 0) :]
-        self.steps, self.squares = self.steps + len(new), self.squares + float(np.dot(new, new))
+        first = x[0] - before[-1] if len(before) else 0.0
+        self.steps += len(step) + bool(len(before))
+        self.squares += _squares(step) + float(first * first)
+        self.tail = np.append(before_t, t[-4:])[-4:], np.append(before, x[-4:])[-4:]
+
+    def _look(self, t: Floats, x: Floats) -> None:
+        """Notes what may be spikes, two samples from either end or more."""
+        step = np.diff(x)
         if len(x) < 5:
             return
-        least = 0.0 if len(x) < _MANY else (0.5 * _SPIKE) ** 2 * float(np.dot(step, step)) / len(step)
+        least = 0.0 if len(x) < _MANY else (0.5 * _SPIKE) ** 2 * _squares(step) / len(step)
         at = np.flatnonzero(step[1:-2] * step[2:-1] < -least) + 2
         height = np.minimum(np.abs(step[at - 1]), np.abs(step[at]))
         around = np.abs(np.stack([x[at + 1] - x[at - 1], step[at - 2], step[at + 1]]))
@@ -283,18 +292,22 @@ class Quality:
         return tuple(sorted(dict.fromkeys(found), key=lambda e: (e.t_start, e.kind, e.channel or "")))
 
 
+def _squares(x: Floats) -> float:
+    return float(np.einsum("i,i->", x, x))  # np.dot would start threads, which wait for one another
+
+
 def _bounds(x: Floats) -> list[tuple[int, int]]:
     """First and end index of the first run of equal values, of the last, and of every plateau between."""
     same = x[1:] == x[:-1]
-    if not (same[1:] & same[:-1]).any():
-        head = 1 + bool(len(same) and same[0])
-        tail = len(x) - 1 - bool(len(same) and same[-1])
-        return [(0, head), (tail, len(x))] if head <= tail else [(0, len(x))]
-    first = np.append(0, np.flatnonzero(~same) + 1)
-    end = np.append(first[1:], len(x))
-    chosen = end - first >= _PLATEAU
-    chosen[[0, -1]] = True
-    return list(zip(first[chosen].tolist(), end[chosen].tolist(), strict=True))
+    triple = np.flatnonzero(same[1:] & same[:-1])
+    part = np.flatnonzero(np.diff(triple) > 1)
+    first, last = triple[np.append(0, part + 1)[: len(triple)]], triple[np.append(part, -1)[: len(triple)]]
+    runs = list(zip(first.tolist(), (last + _PLATEAU).tolist(), strict=True))
+    if not runs or runs[0][0] > 0:
+        runs.insert(0, (0, 1 + bool(len(same) and same[0])))
+    if runs[-1][1] < len(x):
+        runs.append((len(x) - 1 - bool(same[-1]), len(x)))
+    return runs
 
 
 def _clock_events(time: Floats) -> list[Event]:

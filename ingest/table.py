@@ -33,7 +33,7 @@ class Table:
     short: int = 0
     long: int = 0
     first_long: str = ""
-    lines: int = 0
+    rows: int = 0
 
     def __post_init__(self) -> None:
         time = self.dialect.time
@@ -51,7 +51,7 @@ class Table:
             body = re.sub(rb"[ \t]+", b" ", body).replace(b"\n ", b"\n").replace(b" \n", b"\n").lstrip(b" ")
         frame, body = self._numbers(body)
         if frame.width and frame[frame.columns[-1]].null_count():
-            self.short += self._short_rows(body)
+            self.short += self._short_rows(body, frame.height)
         frame = self._second_look(body, frame)
         empty = frame[frame.columns[0]].is_null()
         if empty.any():
@@ -76,13 +76,13 @@ class Table:
 
     def _numbers(self, body: bytes) -> tuple[pl.DataFrame, bytes]:
         """All columns as numbers, and the body without rows that do not fit."""
-        before = self.lines
-        self.lines += body.count(b"\n")
         try:
-            return self._read(body, pl.Float64), body
+            frame = self._read(body, pl.Float64)
         except pl.exceptions.ComputeError as error:
-            kept = self._without_long_rows(body, before, error)
-        return self._read(kept, pl.Float64), kept
+            body = self._without_long_rows(body, self.rows + self.long, error)
+            frame = self._read(body, pl.Float64)
+        self.rows += frame.height
+        return frame, body
 
     def _read(self, body: bytes, dtype: type[pl.DataType], *only: int) -> pl.DataFrame:
         return pl.read_csv(
@@ -119,9 +119,10 @@ class Table:
         self.long += len(long)
         return b"\n".join(line for i, line in enumerate(lines) if i not in long)
 
-    def _short_rows(self, body: bytes) -> int:
+    def _short_rows(self, body: bytes, rows: int) -> int:
         """Rows with fewer fields than names; they read as if the last cells were empty."""
-        if b'"' in body:
+        whole = rows * (len(self.names) - 1)
+        if b'"' in body or body.count(self.dialect.separator.encode()) == whole:
             return 0  # a quoted separator is none
         characters = np.frombuffer(body, np.uint8)
         ends = np.flatnonzero(characters == ord("\n"))
@@ -134,32 +135,50 @@ class Table:
     def _second_look(self, body: bytes, frame: pl.DataFrame) -> pl.DataFrame:
         """Columns with cells that were not numbers, read again as text."""
         first = self.states is None
-        states = self.states if self.states is not None else set()
+        states = self.states = self.states or set()
         points = self.dialect.decimal_comma and b"." in body  # the parser takes 1.234 for 1,234
         doubtful = [i for i, n in enumerate(self.names) if points or n in states or frame[n].null_count()]
-        cells = {c.name: strip(c) for c in (self._read(body, pl.String, *doubtful) if doubtful else ())}
+        if not doubtful:
+            return frame
+        rows = pl.Series(range(frame.height), dtype=pl.UInt32)
+        if not points and not states:
+            rows = frame.select(pl.any_horizontal(pl.nth(doubtful).is_null())).to_series().arg_true()
+            body, rows = _lines(body, rows, frame.height)
+        cells = {c.name: c for c in self._read(body, pl.String, *doubtful)}
         for name, text in cells.items():
-            number = frame[name]
+            number = frame[name].gather(rows)
             number = number.set(text.str.contains(".", literal=True), None) if points else number
-            number = number.fill_null(numbers(text, decimal_comma=self.dialect.decimal_comma))
-            words = text.filter(number.is_null() & text.is_not_null())
-            if name == TIME and number.null_count() == len(number):
-                number = parse_dates(self._with_date(text, cells))
-            elif name in states or (first and len(words) and number.null_count() == len(number)):
+            odd = number.is_null().arg_true()
+            seen = strip(text.gather(odd))
+            read = numbers(seen, decimal_comma=self.dialect.decimal_comma)
+            words = seen.filter(read.is_null() & seen.is_not_null())
+            none = len(odd) == frame.height and read.null_count() == len(read)
+            if name == TIME and none:
+                number = parse_dates(self._with_date(seen, cells))
+            elif name in states or (first and len(words) and none):
                 states.add(name)
-                number = text
-            elif len(words):
-                self._tell(name, words)
+                number = strip(text)
+            else:
+                number = frame[name].scatter(rows.gather(odd), read)
+                if len(words):
+                    self._tell(name, words)
             frame = frame.with_columns(number.alias(name))
-        self.states = states
         return frame
 
     def _with_date(self, text: pl.Series, cells: dict[str, pl.Series]) -> pl.Series:
         """Times of the day with the dates of the column beside them."""
         date = self.dialect.date
-        return text if date is None else (cells[self.names[date]] + " " + text).alias(text.name)
+        return text if date is None else (strip(cells[self.names[date]]) + " " + text).alias(text.name)
 
     def _tell(self, name: str, words: pl.Series) -> None:
         example = Counter(words.to_list()).most_common(1)[0][0]
         self.flags.setdefault(name, f"cells are not numbers, such as {example!r}")
         self.odd[name] += len(words)
+
+
+def _lines(body: bytes, rows: pl.Series, height: int) -> tuple[bytes, pl.Series]:
+    """Only these rows of ``body``, where they are few and every line is a row; else all."""
+    if len(rows) * 10 < height and b'"' not in body and body.count(b"\n") == height:
+        lines = body.split(b"\n")
+        return b"\n".join(lines[i] for i in rows.to_list()) + b"\n", rows
+    return body, pl.Series(range(height), dtype=pl.UInt32)

@@ -87,6 +87,9 @@ def _utf8(lines: bytes) -> bytes:
         return lines
     try:
         lines.decode()
-    except UnicodeDecodeError:
+    except UnicodeDecodeError as error:
+        end = lines.find(b"\n", error.end) + 1
+        if end and lines[end:].isascii():  # as a rule only the names are not
+            return lines[:end].decode("latin-1").encode() + lines[end:]
         return lines.decode("latin-1").encode()
     return lines
