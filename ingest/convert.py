@@ -13,10 +13,11 @@ from typing import Any
 
 from ingest.blocks import follow
 from ingest.errors import LogError
-from ingest.files import group_file, recording
+from ingest.files import group_file
 from ingest.log import Log
 from ingest.quality import Quality
 from ingest.readers import Recorder
+from ingest.recording import recording
 from ingest.report import describe, with_quality
 
 REPORT = "report.json"

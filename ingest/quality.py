@@ -21,54 +21,13 @@ import polars as pl
 from numpy.typing import NDArray
 
 from ingest.log import Event, Group, Log
+from ingest.sampling import LISTED, Floats, clock_events, clock_quality, event, number
 
-GAP = 10.0  # a step longer than this many median steps is a gap
 _PLATEAU = 3  # samples
 _STUCK, _STUCK_S = 20, 3.0  # samples and s
 _RARE = 0.2  # a signal with a larger share of plateaus is one that moves in steps
 _SPIKE = 10.0
 _MANY = 1000  # samples of a part that give an idea of the steps of the whole
-_LISTED = 20  # of each kind and signal, so that a report stays readable
-
-Floats = NDArray[np.floating[Any]]
-
-
-def clock_quality(time: Floats) -> dict[str, Any]:
-    """Sampling from time stamps in s, shape (rows,), in the order of the source.
-
-    With the steps ``d`` between successive stamps and ``d_p`` their p-th percentile (of those above 0):
-    ``rate_hz = 1 / d_50``, ``jitter = (d_95 - d_5) / (2 d_50)``, a gap is a step above ``10 d_50``, a clock
-    jump one below ``-10 d_50``.
-
-    >>> q = clock_quality(np.array([0.0, 0.1, 0.2, 0.2, 0.3, 5.3, 5.4]))
-    >>> q["rate_hz"], q["duplicates"], q["gaps"], [round(t, 1) for t in q["longest_gap"]]
-    (10.0, 1, 1, [0.3, 5.3])
-    """
-    step = np.diff(time)
-    forward = step[step > 0]
-    found: dict[str, Any] = {
-        "rows": len(time),
-        "rate_hz": None,
-        "jitter": None,
-        "gaps": 0,
-        "longest_gap": None,
-        "duplicates": int((step == 0).sum()),
-        "out_of_order": int((step < 0).sum()),
-        "clock_jumps": 0,
-    }
-    if len(forward):
-        low, median, high = (float(p) for p in np.percentile(forward, (5, 50, 95)))
-        gaps = np.flatnonzero(step > GAP * median)
-        longest = int(np.argmax(step))
-        found |= {"rate_hz": number(round(1 / median, 6)), "jitter": round((high - low) / (2 * median), 6)}
-        found |= {"gaps": len(gaps), "clock_jumps": int((step < -GAP * median).sum())}
-        found |= {"longest_gap": [float(time[longest]), float(time[longest + 1])]} if len(gaps) else {}
-    return found
-
-
-def number(value: Any) -> float | None:
-    """A finite float, or None."""
-    return float(value) if value is not None and np.isfinite(value) else None
 
 
 class Run(NamedTuple):
@@ -156,9 +115,7 @@ class Samples:
         self.at_high += run.samples if run.value == self.high else 0
         duration = run.end - run.start
         if run.samples >= _STUCK and duration >= _STUCK_S:
-            (heapq.heappush if len(self.runs) < 5 * _LISTED else heapq.heappushpop)(
-                self.runs, (duration, run)
-            )
+            (heapq.heappush if len(self.runs) < 5 * LISTED else heapq.heappushpop)(self.runs, (duration, run))
 
     def _add_steps(self, t: Floats, x: Floats) -> None:
         before_t, before = self.tail
@@ -282,13 +239,13 @@ class Quality:
 
     def events(self) -> tuple[Event, ...]:
         """What is suspicious and has a place in time, in order of time; the worst of each kind and signal."""
-        found = [e for group in self.samples for e in _clock_events(self.time(group))]
+        found = [e for group in self.samples for e in clock_events(self.time(group))]
         for known in self.samples.values():
             for name, samples in known.items():
                 samples.finish()
-                runs = samples.stretches()[:_LISTED]
-                found += [_event(kind, r.start, r.end, name) for kind, r in runs]
-                found += [_event("spike", t, t, name) for t in samples.spikes()[:_LISTED]]
+                runs = samples.stretches()[:LISTED]
+                found += [event(kind, r.start, r.end, name) for kind, r in runs]
+                found += [event("spike", t, t, name) for t in samples.spikes()[:LISTED]]
         return tuple(sorted(dict.fromkeys(found), key=lambda e: (e.t_start, e.kind, e.channel or "")))
 
 
@@ -308,19 +265,3 @@ def _bounds(x: Floats) -> list[tuple[int, int]]:
     if runs[-1][1] < len(x):
         runs.append((len(x) - 1 - bool(same[-1]), len(x)))
     return runs
-
-
-def _clock_events(time: Floats) -> list[Event]:
-    step = np.diff(time)
-    if not (step > 0).any():
-        return []
-    median = float(np.median(step[step > 0]))
-    gaps = np.flatnonzero(step > GAP * median)
-    gaps = gaps[np.argsort(-step[gaps], kind="stable")][:_LISTED]
-    jumps = np.flatnonzero(step < -GAP * median)[:_LISTED]
-    found = [_event("gap", float(time[i]), float(time[i + 1]), None) for i in gaps]
-    return found + [_event("clock jump", float(time[i + 1]), float(time[i]), None) for i in jumps]
-
-
-def _event(kind: str, start: float, end: float, channel: str | None) -> Event:
-    return Event(t_start=start, t_end=end, kind=kind, channel=channel, source="quality")

@@ -7,7 +7,8 @@ from typing import Any
 
 from ingest.log import Log, Signal
 from ingest.mapping import UNIT_ASSUMED, UNIT_FROM_MAP
-from ingest.quality import Quality, clock_quality
+from ingest.quality import Quality
+from ingest.sampling import clock_quality
 
 QUALITY = "quality"
 """Source of the events that :func:`with_quality` adds."""

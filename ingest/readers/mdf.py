@@ -23,6 +23,7 @@ from ingest.blocks import BLOCK_BYTES, join
 from ingest.errors import LogError
 from ingest.log import TIME, Event, Group, Log, Signal
 from ingest.maps import NameMap
+from ingest.mdf_samples import series_of, unique_name
 from ingest.readers import Recording, check_declared, need
 from ingest.tables import distinct
 
@@ -193,12 +194,12 @@ class _Mdf:
         columns: dict[str, pl.Series] = {TIME: pl.Series(TIME, time, pl.Float64)}
         known: dict[str, Signal] = {}
         for signal, (_, _, j) in zip(signals, wanted, strict=True):
-            column = _series(signal.samples, signal.invalidation_bits)
+            column = series_of(signal.samples, signal.invalidation_bits)
             if column is None:
                 self.skipped.add((index, j))
                 self.notes.append(f"channel {signal.name!r} was skipped: its samples are arrays or records")
                 continue
-            unique = _unique(signal.name, columns)
+            unique = unique_name(signal.name, columns)
             columns[unique] = column
             known[unique] = self._signal(unique, signal, column)
         self.got[name] += len(time)
@@ -248,31 +249,6 @@ class _Nothing:
 
     def __init__(self, channel: Any) -> None:
         self.name, self.unit, self.comment = channel.name, channel.unit, channel.comment
-
-
-def _unique(name: str, taken: dict[str, Any]) -> str:
-    n, unique = 1, name or "channel"
-    while unique in taken:
-        n += 1
-        unique = f"{name}_{n}"
-    return unique
-
-
-def _series(samples: NDArray[Any], invalid: NDArray[np.bool_] | None) -> pl.Series | None:
-    """Samples as a column, invalid ones null; None where a sample is more than one value."""
-    if samples.ndim != 1 or samples.dtype.names or samples.dtype.kind not in "biufSUO":
-        return None
-    if samples.dtype.kind in "SUO":
-        different, which = np.unique(
-            samples.astype(str) if samples.dtype.kind == "O" else samples, return_inverse=True
-        )
-        words = [w.decode("utf-8", "replace") if isinstance(w, bytes) else str(w) for w in different.tolist()]
-        column = pl.Series([w.rstrip("\0") or None for w in words], dtype=pl.String).gather(which)
-    else:
-        kind = np.float32 if samples.dtype == np.float16 else samples.dtype.newbyteorder("=")
-        column = pl.Series(samples.astype(kind, copy=False))
-    bits = None if invalid is None else np.asarray(invalid)
-    return column if bits is None or not bits.any() else column.set(pl.Series(bits), None)
 
 
 def write(log: Log, path: Path) -> None:

@@ -8,9 +8,10 @@ import pytest
 
 from ingest import read_log, write_log
 from ingest.errors import LogError
-from ingest.files import WRITERS, find_logs, group_file, unique_stems
+from ingest.files import find_logs, group_file, unique_stems
 from ingest.log import Group, Log
 from ingest.readers import FORMATS, reader
+from ingest.recording import WRITERS
 
 
 @pytest.fixture

@@ -10,8 +10,9 @@ from ingest.blocks import rows
 from ingest.log import Event, Group, Log, Signal
 from ingest.mapping import apply_map
 from ingest.maps import NameMap, SignalMap
-from ingest.quality import Quality, clock_quality
+from ingest.quality import Quality
 from ingest.report import describe, quality, with_quality
+from ingest.sampling import clock_quality
 
 
 @pytest.fixture
