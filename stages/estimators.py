@@ -18,18 +18,21 @@ from stages.two_rate import TwoRate
 
 Array = NDArray[np.float64]
 EstimatorName = Literal["innovations", "printed"]
+TRIED_COLOUR = 0.8
+CLEAR = 40.0  # of minus twice the log-likelihood: coloured noise must earn its two parameters
 FIRST_SD = 0.2  # the most that an indicator's logarithm may be in doubt for a first window to be a start
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Memory:
     """What a window leaves to the next: its parameters, the state after it, and the trends of ``ln k_s``
-    and of ``ln(b / a_1)``."""
+    and of ``ln(b / a_1)``, and the colour of the disturbance."""
 
     parameters: Array
     state: Array
     gain: Trend
     product: Trend
+    colour: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -61,28 +64,60 @@ class Innovations:
     def estimate(self, u: Array, y: Array, memory: Memory | None, adjoins: bool) -> Estimate | None:
         """None where the window cannot be fitted, or a first one says too little; ``adjoins``: the window
         begins where the one that is remembered ended."""
-        structure, last = self._drifting(memory), None if memory is None else memory.parameters
-        starts = self.start.starts(structure, u, y, last)
-        state = memory.state if memory is not None and adjoins else None
-        fits: list[Fit] = []
-        if last is None:
-            walk = np.zeros((self.structure.plant_order + 3,) * 2)
+        structure = self._drifting(memory)
+        if memory is None:
+            found = self._first(u, y)
         else:
-            walk = np.diag([*[self.walk**-2] * (last.size - 1), 0.0])
-            fits.append(fit(structure, u, y, last, last, walk, state))
-            starts = [p for p in starts if structure.loss(p, u, y) + _squared(p - last, walk) < fits[0].loss]
-        for p in starts:
-            mean = p if last is None else last
-            near = fit(structure.stiff, u, y, p, mean, walk, state).p
-            fits.append(fit(structure, u, y, near, mean, walk, state))
-        if not fits:
+            found = self._next(structure, u, y, memory, memory.state if adjoins else None)
+        if found is None:
             return None
-        found = min(fits, key=lambda f: f.loss)
         x, covariance = found.indicators
         known = np.isfinite(x).all() and np.isfinite(covariance).all()
-        if not (known and self._plausible(x, covariance, last)):
+        if not (known and self._plausible(x, covariance, memory)):
             return None
         return Estimate(x=x, covariance=covariance, noise_sd=found.noise[1], memory=_remember(memory, found))
+
+    def _first(self, u: Array, y: Array) -> Fit | None:
+        """With white disturbance, or with the coloured one that predicts clearly better."""
+        fits = [self._fresh(replace(self.structure, colour=phi), u, y) for phi in (0.0, TRIED_COLOUR)]
+        white, coloured = fits
+        if white is None or coloured is None or white.loss < coloured.loss + CLEAR:
+            return white
+        return self._coloured(u, y, coloured)
+
+    def _coloured(self, u: Array, y: Array, start: Fit) -> Fit:
+        """The pole phi of the disturbance by golden sections of its time constant's logarithm."""
+        from scipy.optimize import minimize_scalar
+
+        dt, none = self.structure.dt, np.zeros((start.p.size,) * 2)
+
+        def at(log_tau: float) -> Fit:
+            colour = float(np.exp(-dt / np.exp(log_tau)))
+            return fit(replace(self.structure, colour=colour), u, y, start.p, start.p, none)
+
+        bounds = np.log([dt, 100.0 * dt])
+        best = minimize_scalar(lambda v: at(v).loss, bounds=bounds, method="bounded", options={"maxiter": 12})
+        return at(best.x)
+
+    def _fresh(self, structure: Structure, u: Array, y: Array) -> Fit | None:
+        """The best of the fits from all starts, those without drift first."""
+        fits = []
+        for p in self.start.starts(structure, u, y, None):
+            none = np.zeros((p.size, p.size))
+            near = fit(structure.stiff, u, y, p, p, none).p
+            fits.append(fit(structure, u, y, near, near, none))
+        return min(fits, key=lambda f: f.loss, default=None)
+
+    def _next(self, structure: Structure, u: Array, y: Array, memory: Memory, state: Array | None) -> Fit:
+        """From the last window's parameters; and anew, where the subspace model predicts better than that."""
+        last = memory.parameters
+        held = np.where(np.arange(last.size) < structure.plant_order + 2, self.walk**-2, 0.0)
+        fits = [fit(structure, u, y, last, last, np.diag(held), state)]
+        for p in self.start.starts(structure, u, y, last):
+            if structure.loss(p, u, y) + (p - last) @ (held * (p - last)) < fits[0].loss:
+                near = fit(structure.stiff, u, y, p, last, np.diag(held), state).p
+                fits.append(fit(structure, u, y, near, last, np.diag(held), state))
+        return min(fits, key=lambda f: f.loss)
 
     def _drifting(self, memory: Memory | None) -> Structure:
         """The structure, with the drift of b inside the window that is expected."""
@@ -90,17 +125,15 @@ class Innovations:
             return self.structure
         (product, product_v), (gain, gain_v) = memory.product.slope, memory.gain.slope
         sd = np.sqrt(self.structure.input_drift_sd**2 + product_v + gain_v)
-        return replace(self.structure, input_drift=product - gain, input_drift_sd=float(sd))
+        return replace(
+            self.structure, colour=memory.colour, input_drift=product - gain, input_drift_sd=float(sd)
+        )
 
-    def _plausible(self, x: Array, covariance: Array, last: Array | None) -> bool:
+    def _plausible(self, x: Array, covariance: Array, memory: Memory | None) -> bool:
         """The sensor is faster than the plant, and a first window knows all parameters."""
         fastest = np.abs(np.roots([1.0, *np.exp(x[3:])])).max()
-        known = last is not None or np.sqrt(np.diag(covariance).max()) < FIRST_SD
+        known = memory is not None or np.sqrt(np.diag(covariance).max()) < FIRST_SD
         return bool(np.exp(x[0]) * fastest < 1.0 and known)
-
-
-def _squared(x: Array, information: Array) -> float:
-    return float(x @ information @ x)
 
 
 def _remember(memory: Memory | None, found: Fit) -> Memory:
@@ -113,7 +146,7 @@ def _remember(memory: Memory | None, found: Fit) -> Memory:
         gain, product = (
             t.follow(float(value), float(v)) for t, (value, v) in zip(trends, measured, strict=True)
         )
-    return Memory(parameters=found.p, state=found.state, gain=gain, product=product)
+    return Memory(parameters=found.p, state=found.state, gain=gain, product=product, colour=found.colour)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -4,15 +4,19 @@ The compound system of the dissertation's Figure 3.1, sampled with an input held
 
     y = k_s / (tau s + 1) [ k_p / (s^n + a_1 s^(n-1) + ... + a_n) u + w_p ] + w_n
 
-With white ``w_p`` (held) and ``w_n``, the noise is ``(q - c) / (q - a) e``, a = exp(-dt / tau), so that the
-sensor's time constant acts twice: on the way from u, and as the colour of the noise. The zero c, which (3.12)
-leaves out, carries the share of w_n. Matching the spectra of both descriptions gives, with var e = s2,
+With ``w_n`` white and ``w_p`` (held) white or an AR(1) with pole phi, the noise is C(q) / [(q - a) (q -
+phi)] e, a = exp(-dt / tau), so that the sensor's time constant acts twice: on the way from u, and as the
+colour of the noise. C = q + gamma_1, or q^2 + gamma_1 q + gamma_2 with a phi, carries the share of w_n,
+which (3.12) leaves out. Matching the spectra of both descriptions at the longest lag and at rest gives,
+with var e = s2,
 
-    k_s std(w_p) = sqrt(s2 (a - c) (1 - a c) / a) / (1 - a),     var w_n = c s2 / a,
+    var w_n = -gamma_1 s2 / a  or  gamma_2 s2 / (a phi),
+    (k_s sd)^2 = [s2 C(1)^2 - var w_n (1 - a)^2 (1 - phi)^2] / (1 - a)^2,
 
-which is (3.13) repaired: a gain that neither tau nor w_n changes. Gauss-Newton with Levenberg's damping over
-p = [ln tau, ln(b / a_1), ln a_1, ln(a_2 / a_1), ..., c], b = k_s k_p: in these the estimates are nearly
-uncorrelated, where b, a_1, a_2, a_3 themselves are 99.9 % so.
+sd being std(w_p) or that of its innovations. This is (3.13) repaired: a gain that neither tau nor w_n
+changes. Gauss-Newton with Levenberg's damping over p = [ln tau, ln(b / a_1), ln a_1, ln(a_2 / a_1), ...,
+gamma], b = k_s k_p: in these the estimates are nearly uncorrelated, where b, a_1, a_2, a_3 themselves are
+99.9 % so.
 
 Two things are estimated along, linearly: the state at the window's start, and drift inside the window, of
 the output's gain, of b, and of chosen a_i. Without the latter a drifting plant looks like a slower sensor.
@@ -35,6 +39,7 @@ Array = NDArray[np.float64]
 STEPS = 12
 TOLERANCE = 0.03  # of minus twice the log-likelihood: a sixth of a standard deviation before the last step
 STIFF = 1e-4  # a drift that is as good as none
+LEAST_LAG = 0.05  # samples
 CHUNK = 256  # samples whose columns are kept at once
 
 
@@ -51,9 +56,12 @@ def _add_products(columns: Array, rows: int, G: Array) -> None:  # pragma: no co
 
 
 @cache
-def _gram_of(n: int, D: int) -> Callable[..., tuple[Array, Array]]:
-    """The compiled loop for n plant coefficients and D drifts, numbers that the compiler unrolls by."""
-    S, first_x0, first_drift, width = 2 * n + 2, n + 4, 2 * n + 5, 2 * n + 7 + D
+def _gram_of(n: int, M: int, D: int) -> Callable[..., tuple[Array, Array]]:
+    """The compiled loop for n plant coefficients, M of the noise, D drifts: numbers that it is unrolled
+    by."""
+    S, first_x0 = 2 * n + 2, n + 3 + M
+    first_drift = first_x0 + n + 1
+    width = first_drift + D + 2
 
     @njit(cache=True)
     def _gram(
@@ -65,15 +73,15 @@ def _gram_of(n: int, D: int) -> Callable[..., tuple[Array, Array]]:
         scale: Array,
         drifting: NDArray[np.int64],
         a: float,
-        c: float,
+        phi: float,
+        gamma: Array,
     ) -> tuple[Array, Array]:  # pragma: no cover - compiled
-        """``V' V`` of the whitened columns V over a window, shape (2 n + D + 7,) squared for n
-        coefficients, D drifts.
+        """``V' V`` of the whitened columns V over a window, shape (width, width).
 
         Columns: sensitivities of the output to ln tau, ln b, ln a_1 ... ln a_n, those of the innovations to
-        a and c, responses to the initial states (n + 1), to drift of the output's gain, to drifts of b (0)
-        or a_i (i), and the innovations. States: plant (n), sensor, sensor again, plant again; the second
-        copies make the sensitivities, as ``dy / d ln tau = y / (tau s + 1) - y`` and ``dy / d a_i =
+        a and gamma, responses to the initial states (n + 1), to drift of the output's gain, to drifts of b
+        (0) or a_i (i), and the innovations. States: plant (n), sensor, sensor again, plant again; the
+        second copies make the sensitivities, as ``dy / d ln tau = y / (tau s + 1) - y`` and ``dy / d a_i =
         -s^(n-i) y / A(s)``. ``Ad`` and ``Bd`` advance them."""
         N = u.size
         G, columns = np.zeros((width, width)), np.empty((width, CHUNK))
@@ -82,7 +90,9 @@ def _gram_of(n: int, D: int) -> Callable[..., tuple[Array, Array]]:
         free, free_new = np.zeros(n + 1), np.empty(n + 1)
         free[n] = 1.0
         d, d_new = np.zeros((D, n + 1)), np.empty(n + 1)
-        raw, white, before = np.zeros(width), np.zeros(width), np.zeros(width)
+        raw, white, new_white = np.zeros(width), np.zeros(width), np.zeros(width)
+        white2, before, before2 = np.zeros(width), np.zeros(width), np.zeros(width)
+        c1, c2 = gamma[0], gamma[M - 1] if M > 1 else 0.0
         for t in range(N):
             when = (t - 0.5 * (N - 1)) / N
             raw[0], raw[1] = x[n + 1] - x[n], x[n]
@@ -93,13 +103,17 @@ def _gram_of(n: int, D: int) -> Callable[..., tuple[Array, Array]]:
             for k in range(D):
                 raw[first_drift + 1 + k] = d[k, n]
             raw[width - 1] = y[t] - x[n]
-            # the whitening filter (q - a) / (q - c); a and c act on its own signals
-            e_before, r_before = white[width - 1], before[width - 1]
-            white_a, white_c = r_before + c * white[n + 2], c * white[n + 3] - e_before
+            # whitened by (q - a) (q - phi) / C; a and gamma act on that filter's own signals
             for i in range(width):
-                white[i] = raw[i] - a * before[i] + c * white[i]
-                before[i] = raw[i]
-            white[n + 2], white[n + 3] = white_a, white_c
+                new_white[i] = raw[i] - (a + phi) * before[i] + a * phi * before2[i]
+            new_white[n + 2] = before[width - 1] - phi * before2[width - 1]
+            new_white[n + 3] = white[width - 1]
+            if M > 1:
+                new_white[n + 2 + M] = white2[width - 1]
+            for i in range(width):
+                new_white[i] -= c1 * white[i] + c2 * white2[i]
+                white2[i], white[i] = white[i], new_white[i]
+                before2[i], before[i] = before[i], raw[i]
             columns[:, t % CHUNK] = white
             if t % CHUNK == CHUNK - 1 or t == N - 1:
                 _add_products(columns, t % CHUNK + 1, G)
@@ -135,12 +149,15 @@ class Structure:
     """Order of the plant, sampling time ``dt`` (s), and which of a_1, a_2, ... may drift inside a window
     besides the output's gain and b.
 
+    ``colour``: phi, the pole of the process disturbance.
+
     Relative drift from the window's start to its end is a priori N(0, drift_sd^2), that of b N(input_drift,
     input_drift_sd^2): it is nearly the same as another a_n, and must be known to tell them apart."""
 
     plant_order: int
     dt: float
     drifting: tuple[int, ...] = ()
+    colour: float = 0.0
     drift_sd: float = 0.05
     input_drift: float = 0.0
     input_drift_sd: float = 0.002
@@ -148,6 +165,11 @@ class Structure:
     @cached_property
     def _drifting(self) -> NDArray[np.int64]:
         return np.array([0, *self.drifting], dtype=np.int64)  # 0: b
+
+    @property
+    def noise_order(self) -> int:
+        """M, the number of gamma."""
+        return 2 if self.colour else 1
 
     @cached_property
     def stiff(self) -> Structure:
@@ -159,7 +181,8 @@ class Structure:
         state after the window that x0 leads to: the plant's output and its derivatives, and the sensor's
         output."""
         n = self.plant_order
-        tau, b, a_i, c = unpack(p)
+        tau, b, a_i, gamma = unpack(p, n)
+        M = gamma.size
         unit = a_i[-1] ** (-1.0 / n)  # of time, so that the plant's poles are near 1
         a_i, b, tau, dt = a_i * unit ** np.arange(1, n + 1), b * unit**n, tau / unit, self.dt / unit
         A, B = np.zeros((2 * n + 2, 2 * n + 2)), np.zeros((2 * n + 2, 1))
@@ -174,14 +197,15 @@ class Structure:
         Ad, Bd = zero_order_hold(A, B, dt)
         a = np.exp(-dt / tau)
         units = np.append(unit ** np.arange(n), 1.0)
-        G, x = _gram_of(n, self._drifting.size)(b * u, y, Ad, Bd[:, 0], x0 * units, a_i, self._drifting, a, c)
+        loop = _gram_of(n, M, self._drifting.size)
+        G, x = loop(b * u, y, Ad, Bd[:, 0], x0 * units, a_i, self._drifting, a, self.colour, gamma)
         T = np.zeros((len(G), len(G) - 1))  # from columns as simulated to columns of p
         T[[0, n + 2], 0] = 1.0, a * dt / tau
         T[1, 1:3] = 1.0
         T[2 : n + 2, 2 : n + 2] = np.tril(np.ones((n, n)))
         T[n + 3 :, n + 2 :] = np.eye(len(G) - n - 3)
-        T[n + 4 : 2 * n + 5, n + 3 : 2 * n + 4] = np.diag(units)
-        T[2 * n + 6, -1] = -self.input_drift  # innovations beyond the drift of b that is expected
+        T[n + 3 + M : 2 * n + 4 + M, n + 2 + M : 2 * n + 3 + M] = np.diag(units)
+        T[2 * n + 5 + M, -1] = -self.input_drift  # innovations beyond the drift of b that is expected
         return T.T @ G @ T, x / units
 
     def information(self, parameters: Array) -> Array:
@@ -212,37 +236,59 @@ class Fit:
     loss: float
     samples: int
     dt: float
+    orders: int = 1  # of gamma
+    colour: float = 0.0
 
     @cached_property
     def noise(self) -> tuple[float, float]:
-        """``k_s std(w_p)`` and ``std(w_n)`` in the output's unit; the latter 0 where c is not positive."""
-        tau, _, _, c = unpack(self.p)
-        a = float(np.exp(-self.dt / tau))
-        k = np.sqrt(self.variance * max(a - c, 1e-12) * (1.0 - a * c) / a) / (1.0 - a)
-        return float(k), float(np.sqrt(max(c, 0.0) * self.variance / a))
+        """``k_s`` times the spread of w_p, and ``std(w_n)``, in the output's unit; 0 where a square is not
+        positive."""
+        k2, n2 = _noise(self.p[0], self.p[-self.orders :], self.variance, self.dt, self.colour)
+        return float(np.sqrt(max(k2, 0.0))), float(np.sqrt(max(n2, 0.0)))
 
     @cached_property
     def indicators(self) -> tuple[Array, Array]:
-        """Logarithms of tau, k_s std(w_p), k_p = b / that, a_1 ... a_n, and their covariance to first
-        order."""
-        tau, b, a_i, c = unpack(self.p)
-        n, k = len(a_i), self.noise[0]
-        a = np.exp(-self.dt / tau)
+        """Logarithms of tau, k_s times the spread of w_p, k_p = b / that, a_1 ... a_n, and their covariance
+        to first order."""
+        n, M = self.p.size - 2 - self.orders, self.orders
+        tau, b, a_i, _ = unpack(self.p, n)
+        k = max(self.noise[0], 1e-300)
         x = np.log(np.concatenate([[tau, k, b / k], a_i]))
-        J = np.zeros((n + 3, n + 4))  # last column: d / d ln(var e)
+        z = np.concatenate([self.p[:1], self.p[-M:], [np.log(self.variance)]])
+
+        def log_gain(z: Array) -> float:
+            return 0.5 * float(
+                np.log(max(_noise(z[0], z[1:-1], np.exp(z[-1]), self.dt, self.colour)[0], 1e-300))
+            )
+
+        steps = 1e-5 * np.eye(z.size)
+        slope = np.array([(log_gain(z + h) - log_gain(z - h)) / 2e-5 for h in steps])
+        J = np.zeros((n + 3, self.p.size + 1))  # last column: d / d ln(var e)
         J[0, 0] = 1.0
-        da = 0.5 * (1.0 / (a - c) - c / (1.0 - a * c) - 1.0 / a) + 1.0 / (1.0 - a)
-        J[1, 0], J[1, n + 2], J[1, n + 3] = (
-            da * a * self.dt / tau,
-            -0.5 * (1.0 / (a - c) + a / (1.0 - a * c)),
-            0.5,
-        )
+        J[1, 0], J[1, n + 2 :] = slope[0], slope[1:]
         J[2, 1:3] = 1.0
         J[2] -= J[1]
         J[3:, 2 : n + 2] = np.tril(np.ones((n, n)))
-        P = np.zeros((n + 4, n + 4))
+        P = np.zeros((self.p.size + 1,) * 2)
         P[:-1, :-1], P[-1, -1] = self.covariance, 2.0 / self.samples
         return x, J @ P @ J.T
+
+
+def _noise(log_tau: float, gamma: Array, variance: float, dt: float, phi: float) -> tuple[float, float]:
+    """Variances ``(k_s sd)^2`` and ``var w_n`` of the description by two sources."""
+    a = np.exp(-dt / np.exp(log_tau))
+    measured = -gamma[0] * variance / a if gamma.size == 1 else gamma[1] * variance / (a * phi)
+    at_rest = variance * (1.0 + gamma.sum()) ** 2 - measured * ((1.0 - a) * (1.0 - phi)) ** 2
+    return float(at_rest / (1.0 - a) ** 2), float(measured)
+
+
+def _possible(structure: Structure, p: Array) -> bool:
+    """C has its zeros inside the unit circle, there is process disturbance, and the sensor has a lag at all."""
+    gamma = p[structure.plant_order + 2 :]
+    inside = abs(gamma[-1]) < 0.98 and (gamma.size == 1 or abs(gamma[0]) < 0.98 * (1.0 + gamma[1]))
+    if not (inside and np.exp(p[0]) > LEAST_LAG * structure.dt):
+        return False
+    return _noise(p[0], gamma, 1.0, structure.dt, structure.colour)[0] > 0.0
 
 
 def fit(
@@ -274,7 +320,9 @@ def fit(
         H[np.arange(k), np.arange(k)] *= 1.0 + damping
         step = _solve(H, g)
         trial, x0_trial = p + step[:k], x0 + step[k : k + x0.size]
-        trial[-1] = np.clip(trial[-1], -0.98, 0.98 * np.exp(-structure.dt / np.exp(trial[0])))
+        if not _possible(structure, trial):
+            damping = max(10.0 * damping, 1e-3)
+            continue
         G_trial, end_trial = structure.gram(trial, x0_trial, u, y)
         v_trial, new = _profile(G_trial, k, known, u.size)
         new += float((trial - mean) @ information @ (trial - mean))
@@ -289,7 +337,10 @@ def fit(
         G, _ = structure.gram(p, state, u, y)
     H = G[:-1, :-1] / v + known
     covariance = np.asarray(np.linalg.inv(H[:k, :k] - H[:k, k:] @ _solve(H[k:, k:], H[k:, :k])), np.float64)
-    return Fit(p=p, covariance=covariance, variance=v, state=end, loss=loss, samples=u.size, dt=structure.dt)
+    return Fit(
+        p=p, covariance=covariance, variance=v, state=end, loss=loss, samples=u.size, dt=structure.dt,
+        orders=structure.noise_order, colour=structure.colour,
+    )  # fmt: skip
 
 
 def _solve(M: Array, b: Array) -> Array:
@@ -310,13 +361,13 @@ def _profile(G: Array, k: int, known: Array, samples: int) -> tuple[float, float
     return v, float(samples * np.log(left))
 
 
-def unpack(p: Array) -> tuple[float, float, Array, float]:
-    """tau, b, (a_1 ... a_n), c of a parameter vector."""
-    a_i = np.exp(np.cumsum(p[2:-1]))
-    return float(np.exp(p[0])), float(a_i[0] * np.exp(p[1])), a_i, float(p[-1])
+def unpack(p: Array, plant_order: int) -> tuple[float, float, Array, Array]:
+    """tau, b, (a_1 ... a_n), gamma of a parameter vector."""
+    a_i = np.exp(np.cumsum(p[2 : plant_order + 2]))
+    return float(np.exp(p[0])), float(a_i[0] * np.exp(p[1])), a_i, p[plant_order + 2 :]
 
 
-def pack(tau: float, b: float, a_i: Array, c: float) -> Array:
+def pack(tau: float, b: float, a_i: Array, gamma: Array) -> Array:
     """The inverse of :func:`unpack`."""
     ratios = np.diff(np.log(a_i), prepend=0.0)
-    return np.concatenate([[np.log(tau), np.log(b / a_i[0])], ratios, [c]])
+    return np.concatenate([[np.log(tau), np.log(b / a_i[0])], ratios, gamma])

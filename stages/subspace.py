@@ -62,11 +62,15 @@ class StateSpace:
     def simulate(self, u: Array, x0: Array | None = None) -> Array:
         """Outputs (N, l) without noise for inputs (N, m)."""
         x = np.zeros(len(self.A)) if x0 is None else x0
-        y = np.empty((len(u), len(self.C)))
-        for t, u_t in enumerate(u):
-            y[t] = self.C @ x + self.D @ u_t
-            x = self.A @ x + self.B @ u_t
-        return y
+        parts = (self.A, self.B, self.C, self.D, u, x)
+        return np.asarray(_simulate(*(np.ascontiguousarray(part, dtype=np.float64) for part in parts)))
+
+    def initial_state(self, y: Array, u: Array) -> Array:
+        """The state (n,) from which the simulation of y (N, l) is best."""
+        n = len(self.A)
+        still = np.zeros((len(u), u.shape[1]))
+        free = np.stack([self.simulate(still, x).ravel() for x in np.eye(n)], axis=1)
+        return np.asarray(np.linalg.lstsq(free, (y - self.simulate(u)).ravel())[0])
 
     def predict(self, y: Array, u: Array) -> Array:
         """One-step predictions (N, l) of y (N, l) by the Kalman filter, from state 0."""
@@ -75,6 +79,17 @@ class StateSpace:
             D=np.hstack([self.D, np.zeros((len(self.C), len(self.C)))]), K=self.K, R=self.R, dt=self.dt,
         )  # fmt: skip
         return observer.simulate(np.hstack([u, y]))
+
+
+@njit(cache=True)
+def _simulate(
+    A: Array, B: Array, C: Array, D: Array, u: Array, x0: Array
+) -> Array:  # pragma: no cover - compiled
+    y, x = np.empty((len(u), len(C))), x0.copy()
+    for t in range(len(u)):
+        y[t] = C @ x + D @ u[t]
+        x = A @ x + B @ u[t]
+    return y
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

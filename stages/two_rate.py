@@ -65,6 +65,7 @@ class TwoRate:
             return []
         b, a_i, fastest = found
         if last is not None:
-            return [pack(float(np.exp(last[0])), b, a_i, float(last[-1]))]
+            return [pack(float(np.exp(last[0])), b, a_i, last[structure.plant_order + 2 :])]
         candidates = structure.dt * 2.0 ** np.arange(-1, 8)
-        return [pack(float(tau), b, a_i, 0.0) for tau in candidates if tau * fastest < 1.0 / SEPARATION]
+        white = np.zeros(structure.noise_order)
+        return [pack(float(tau), b, a_i, white) for tau in candidates if tau * fastest < 1.0 / SEPARATION]

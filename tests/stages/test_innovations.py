@@ -17,7 +17,7 @@ from stages.innovations import Fit, Structure, fit, pack, unpack
 Array = NDArray[np.float64]
 P = Throttle()
 B, *A_I = plant_coefficients(P)
-TRUTH = pack(P.tau_TPS, B * P.k_TPS, np.array(A_I), 0.09)
+TRUTH = pack(P.tau_TPS, B * P.k_TPS, np.array(A_I), np.array([-0.09]))
 STRUCTURE = Structure(plant_order=3, dt=1e-4, drifting=(2,))
 FREE = np.zeros((6, 6))
 
@@ -36,7 +36,7 @@ def test_spectra_of_both_descriptions_agree(tau: float, k_w: float, sd_n: float)
     # (1 + a^2 - 2 a cos w) sd_n^2 + k^2 (1-a)^2 = s2 (1 + c^2 - 2 c cos w)
     even, odd = (1 + a * a) * sd_n**2 + (k_w * (1 - a)) ** 2, a * sd_n**2
     c = (even - np.sqrt(even**2 - 4 * odd**2)) / (2 * odd)
-    p = pack(tau, 1.0, np.array([1.0]), c)
+    p = pack(tau, 1.0, np.array([1.0]), np.array([-c]))
     found = Fit(
         p=p, covariance=np.eye(4), variance=odd / c, state=np.zeros(2), loss=0.0, samples=100, dt=1e-4
     )  # fmt: skip
@@ -88,7 +88,7 @@ def test_innovations_are_those_of_a_filter() -> None:
     assert G[-1, -1] < 1e-11 * u.size  # the simulator's log is float32
     assert end[0] / P.k_TPS == pytest.approx(log.values("truth.theta")[-1], abs=1e-3)
     noisy = y + np.random.default_rng(0).normal(size=y.size)
-    a, c = np.exp(-1e-4 / P.tau_TPS), TRUTH[-1]
+    a, c = np.exp(-1e-4 / P.tau_TPS), -TRUTH[-1]
     e = lfilter([1.0, -a], [1.0, -c], noisy - y)
     assert STRUCTURE.gram(TRUTH, np.zeros(4), u, noisy)[0][-1, -1] == pytest.approx(float(e @ e), rel=1e-4)
 
@@ -140,6 +140,22 @@ def test_a_window_at_rest_keeps_the_prior_and_says_so() -> None:
 
 
 def test_pack_and_unpack() -> None:
-    tau, b, a_i, c = unpack(TRUTH)
-    np.testing.assert_allclose(pack(tau, b, a_i, c), TRUTH)
+    tau, b, a_i, gamma = unpack(TRUTH, 3)
+    np.testing.assert_allclose(pack(tau, b, a_i, gamma), TRUTH)
     np.testing.assert_allclose([tau, b, *a_i], [P.tau_TPS, B * P.k_TPS, *A_I], rtol=1e-9)
+
+
+def test_coloured_disturbance_is_fitted_with_its_pole() -> None:
+    """With phi known, tau, the measurement noise and the disturbance's innovations come out as simulated."""
+    phi = float(np.exp(-1e-4 / 5e-4))
+    coloured = replace(STRUCTURE, colour=phi)
+    start = np.append(TRUTH[:-1], [0.0, 0.0])
+    found = []
+    for seed in range(4):
+        u, y = window(seed, 20_000, tau_w_p=5e-4)
+        found.append(fit(coloured, u, y, start, start, np.zeros((7, 7))))
+    tau = np.exp([f.p[0] for f in found])
+    assert np.mean(tau) == pytest.approx(P.tau_TPS, rel=0.15)
+    k, n = np.mean([f.noise for f in found], axis=0)
+    assert n == pytest.approx(P.sd_w_n, rel=0.2)
+    assert k == pytest.approx(P.k_TPS * P.sd_w_p * np.sqrt(1 - phi**2), rel=0.15)
