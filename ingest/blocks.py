@@ -14,7 +14,7 @@ import polars as pl
 from ingest.errors import LogError
 from ingest.log import Group, Log, Signal
 
-BLOCK_BYTES = 1 << 26
+BLOCK_BYTES = 1 << 24
 """Size of a part as bytes of the source, about."""
 
 

@@ -1,12 +1,38 @@
-"""Samples of MDF channels as columns of a table."""
+"""Samples of MDF channels as columns of a table, and the blocks of a file in which they lie."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from copy import copy
 from typing import Any
 
 import numpy as np
 import polars as pl
 from numpy.typing import NDArray
+
+_PIECE = 1 << 23  # bytes
+
+
+def cut_blocks(group: Any) -> None:
+    """Makes pieces of the large plain data blocks of an ``asammdf`` group.
+
+    The library reads a block whole for each range of records, and many writers make one block of everything.
+    """
+    record = group.channel_group.samples_byte_nr + getattr(group.channel_group, "invalidation_bytes_nr", 0)
+    size = max(1, _PIECE // max(record, 1)) * record
+    group.data_blocks = [piece for block in group.data_blocks or () for piece in _pieces(block, size)]
+
+
+def _pieces(block: Any, size: int) -> Iterator[Any]:
+    plain = not block.block_type and block.block_limit is None and block.invalidation_block is None
+    if not plain or size <= 0 or block.original_size <= size:
+        yield block
+        return
+    for start in range(0, block.original_size, size):
+        piece = copy(block)
+        piece.address = block.address + start
+        piece.original_size = piece.compressed_size = min(size, block.original_size - start)
+        yield piece
 
 
 def unique_name(name: str, taken: dict[str, Any]) -> str:

@@ -23,7 +23,7 @@ from ingest.blocks import BLOCK_BYTES, join
 from ingest.errors import LogError
 from ingest.log import TIME, Event, Group, Log, Signal
 from ingest.maps import NameMap
-from ingest.mdf_samples import series_of, unique_name
+from ingest.mdf_samples import cut_blocks, series_of, unique_name
 from ingest.readers import Recording, check_declared, need
 from ingest.tables import distinct
 
@@ -49,7 +49,7 @@ def is_mine(path: Path, head: bytes) -> bool:
 
 def header(path: Path, names: NameMap) -> Recording:
     """Channels and row counts; the types are those of the first rows."""
-    with _opened(path) as file:
+    with _opened(path, ranges=True) as file:
         found = _Mdf(path, file)
         log = found.part(0, rows=1)
         groups = {k: Group(k, g.frame.clear(), g.signals) for k, g in log.groups.items()}
@@ -71,9 +71,10 @@ def read(path: Path, names: NameMap) -> Recording:
 
 def blocks(path: Path, names: NameMap, size: int | None = BLOCK_BYTES) -> Iterator[Recording]:
     """Parts with the same share of every group's rows; the last one has no rows, but all facts."""
-    with _opened(path) as file:
+    ranges = size is not None and path.stat().st_size > size
+    with _opened(path, ranges=ranges) as file:
         found = _Mdf(path, file)
-        number = max(1, -(-found.bytes // size)) if size else 1
+        number = max(1, -(-found.bytes // size)) if size and ranges else 1
         rows = [-(-n // number) for n in found.counts]
         part = None
         for i in range(number):
@@ -87,22 +88,24 @@ def blocks(path: Path, names: NameMap, size: int | None = BLOCK_BYTES) -> Iterat
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[Any]:
+def _opened(path: Path, *, ranges: bool = False) -> Iterator[Any]:
+    """The open file. Of a stream the library reads ``ranges`` of records; of a path it always reads all."""
     asammdf = need("asammdf", "mdf")
     logging.getLogger("asammdf").setLevel(logging.CRITICAL)  # what it has to say, we say with the file's name
-    with _without_last_words():
-        file, problem = _open(asammdf, path)
+    with path.open("rb") as stream:
+        with _without_last_words():
+            file, problem = _open(asammdf, stream if ranges else path)
+            if file is None:
+                gc.collect()  # now, so that it is deleted here
         if file is None:
-            gc.collect()  # now, so that it is deleted here
-    if file is None:
-        raise LogError(f"{path}: damaged MDF file: {problem}")
-    with closing(file):
-        yield file
+            raise LogError(f"{path}: damaged MDF file: {problem}")
+        with closing(file):
+            yield file
 
 
-def _open(asammdf: Any, path: Path) -> tuple[Any, str]:
+def _open(asammdf: Any, source: Any) -> tuple[Any, str]:
     try:
-        return asammdf.MDF(path), ""
+        return asammdf.MDF(source), ""
     except OSError:
         raise
     except Exception as error:  # on damage the library raises whatever its parser stumbles over
@@ -135,6 +138,8 @@ class _Mdf:
         self.counts = [int(file.groups[i].channel_group.cycles_nr) for i in self.members.values()]
         widths = [file.groups[i].channel_group.samples_byte_nr for i in self.members.values()]
         self.bytes = sum(n * w for n, w in zip(self.counts, widths, strict=True))
+        for index in self.members.values():
+            cut_blocks(file.groups[index])
         for count, index in zip(self.counts, self.members.values(), strict=True):
             check_declared(path, count, len(file.groups[index].channels))
         self.got = dict.fromkeys(self.members, 0)
