@@ -20,7 +20,7 @@ from ingest.log import Log
 from pipeline.digest import arrays_sha256, digest
 from pipeline.files import write_aside
 from pipeline.recipe import Recipe, build_recipe
-from stages.stage import Learner, Stage
+from stages.stage import Learner, Stage, connected
 
 FORMAT = 1
 # what numpy's reader raises on damaged files, besides its own ValueError
@@ -61,7 +61,7 @@ def new_detector(
     notes: Sequence[str],
 ) -> Detector:
     """A detector from fitted stages, with its record and key."""
-    draft = Detector(recipe=recipe, stages=tuple(stages), record={})
+    draft = Detector(recipe=recipe, stages=tuple(connected(stages)), record={})
     content: dict[str, Any] = {
         "format": FORMAT,
         "recipe": recipe.name,
@@ -75,6 +75,25 @@ def new_detector(
     return replace(
         draft, record={"key": digest(content), **content, "notes": list(notes), "created": created}
     )
+
+
+def unfitted_detector(recipe: Recipe) -> Detector:
+    """A detector of a recipe that works without having learned: its reference is each log's own start.
+
+    Raises:
+        StoreError: a stage must learn first.
+    """
+    must = [
+        use
+        for use, stage in zip(recipe.uses, recipe.stages, strict=True)
+        if isinstance(stage, Learner) and not getattr(stage, "starts_unfitted", False)
+    ]
+    if must:
+        raise StoreError(
+            f"recipe {recipe.name!r} learns from fault-free logs ({', '.join(must)}); `dynoscope fit` them, "
+            "and name the store of the detector with --store"
+        )
+    return new_detector(recipe, recipe.stages, [], [], ["nothing learned: the reference is each log's start"])
 
 
 def save_detector(detector: Detector, folder: Path) -> None:
@@ -140,7 +159,7 @@ def load_detector(folder: Path, key: str) -> Detector:
         else stage
         for i, (use, stage) in enumerate(zip(recipe.uses, recipe.stages, strict=True))
     )
-    return Detector(recipe=recipe, stages=tuple(stages), record=record)
+    return Detector(recipe=recipe, stages=tuple(connected(stages)), record=record)
 
 
 def check_recipe(detector: Detector, recipe: Recipe) -> None:

@@ -10,16 +10,26 @@ import polars as pl
 
 from ingest.log import TIME, Log
 from pipeline.detector import Detector
-from stages.detect import DETECTION
+from pipeline.recipe import Recipe
 from stages.gate import GATE
-from stages.isolate import EVIDENCE, PROBABILITY
+from stages.isolate import Isolate
+from stages.monitor import INDICATOR, NOISE, SIGNALS
 from stages.relations import IN_DOMAIN, REGIME, Relations
 from stages.residuals import MODEL_SD, RESIDUAL, SIGMA, Z
-from stages.results import Diagnosis, OperatingMap
+from stages.results import (
+    DETECTION,
+    EVIDENCE,
+    PROBABILITY,
+    SIZE,
+    SIZE_SD,
+    STATISTIC,
+    Diagnosis,
+    OperatingMap,
+)  # fmt: skip
 from stages.stage import ANALYSIS, transform
 from stages.verdict import Judge
 
-KINDS = (RESIDUAL, SIGMA, Z, MODEL_SD, EVIDENCE, PROBABILITY)
+KINDS = (RESIDUAL, INDICATOR, SIGMA, Z, MODEL_SD, EVIDENCE, PROBABILITY, SIZE, SIZE_SD)
 
 
 def diagnose(
@@ -34,21 +44,31 @@ def diagnose(
     frame = block.groups[ANALYSIS].frame
     samples = samples_table(frame)
     recipe = detector.recipe
-    judge = Judge(min_evidence_s=recipe.min_evidence_s, channels=recipe.channels)
-    verdict = judge.verdict(log, samples, recipe=recipe.name, detector=detector.key, quality=quality or {})
+    verdict = _judge(recipe).verdict(
+        log, samples, recipe=recipe.name, detector=detector.key, quality=quality or {}
+    )
     units = {
-        n.removeprefix(RESIDUAL): s.unit or ""
+        n.partition(".")[2]: s.unit or ""
         for n, s in block.groups[ANALYSIS].signals.items()
-        if n.startswith(RESIDUAL)
+        if n.startswith((RESIDUAL, INDICATOR))
     }
     return Diagnosis(
-        log=log, samples=samples, verdict=verdict, units=units, operating_map=_operating_map(detector, block)
-    )
+        log=log, samples=samples, verdict=verdict, units=units,
+        operating_map=_operating_map(detector, block), signals=block.groups.get(SIGNALS),
+    )  # fmt: skip
+
+
+def _judge(recipe: Recipe) -> Judge:
+    """How to put this recipe's faults into words."""
+    supposed = {f: h for s in recipe.stages if isinstance(s, Isolate) for f, h in s.hypotheses.items()}
+    channels = {f: h.signal for f, h in supposed.items() if h.signal} | dict(recipe.channels)
+    units = {f: h.unit for f, h in supposed.items()}
+    return Judge(min_evidence_s=recipe.min_evidence_s, channels=channels, units=units)
 
 
 def samples_table(frame: pl.DataFrame) -> pl.DataFrame:
     """The columns of ``samples.parquet``, from all that the stages left behind."""
-    head = [c for c in (REGIME, IN_DOMAIN, GATE, DETECTION) if c in frame.columns]
+    head = [c for c in (REGIME, IN_DOMAIN, GATE, STATISTIC, NOISE, DETECTION) if c in frame.columns]
     kinds = [c for kind in KINDS for c in frame.columns if c.startswith(kind)]
     return frame.select(TIME, *head, *kinds)
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 KEY_LENGTH = 32
+NOT_SETTINGS = ("learned", "before")  # what a stage was given, not told
 
 
 def digest(*parts: Any) -> str:
@@ -43,7 +44,7 @@ def arrays_sha256(arrays: Mapping[str, NDArray[Any]]) -> str:
 
 def settings(stage: Any) -> dict[str, Any]:
     """A stage's settings as plain JSON values; what it has learned is not among them."""
-    return {f.name: _plain(getattr(stage, f.name)) for f in fields(stage) if f.name != "learned"}
+    return {f.name: _plain(getattr(stage, f.name)) for f in fields(stage) if f.name not in NOT_SETTINGS}
 
 
 def _plain(value: Any) -> Any:

@@ -1,8 +1,8 @@
 """Fitting: what a recipe's stages learn from fault-free logs, in order.
 
 Models learn from the training logs. Spreads and thresholds learn from calibration logs that the models have
-not seen; where there are none, each quarter of the training logs is predicted by models fitted on the other
-three, which says how well the models interpolate, but nothing about other drives, days or vehicles.
+not seen; where there are none, each quarter of the training logs is predicted by models with parameters from
+the other three, which says how well the models interpolate, but nothing about other drives, days or vehicles.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from ingest.errors import LogError
 from ingest.log import Log
 from pipeline.detector import Detector, new_detector
 from pipeline.recipe import Recipe
-from stages.relations import IN_DOMAIN, REGIME
-from stages.stage import ANALYSIS, Learner, Stage, add_columns, concat, transform
+from stages.stage import ANALYSIS, Learner, Stage, connected, transform
 from stages.verdict import usable_seconds
 
 FOLDS = 4
 Progress = Callable[[str], None]
+Passed = tuple[Sequence[Stage], Log]  # a block and the fitted stages that it has passed
 
 
 def fit(
@@ -40,21 +40,26 @@ def fit(
     progress(f"preparing {len(logs) + len(calibrate)} log(s): {', '.join(recipe.uses[: len(prepare)])}")
     training = [transform(prepare, log) for log in logs]
     _check_amount(training, recipe.min_evidence_s)
-    progress(f"fitting on {sum(b.groups[ANALYSIS].frame.height for b in training)} samples")
-    fitted = _learn(models, training)
+    progress(f"fitting on {_rows(training)} samples")
+    passed: list[Passed] = [(prepare, block) for block in training]
+    fitted = _learn(models, passed)
+    if not decide:
+        return new_detector(recipe, [*prepare, *fitted], logs, calibrate, [])
     notes = []
     if calibrate:
-        held_out = [transform([*prepare, *fitted], log) for log in calibrate]
+        held_out: list[Passed] = [
+            ([*prepare, *fitted], transform([*prepare, *fitted], log)) for log in calibrate
+        ]
     else:
         notes.append(
             "no calibration logs: thresholds and spreads come from held-out quarters of the training logs "
             "and know nothing of other drives, days and vehicles; give more fault-free logs with --calibrate"
         )
         progress("holding out quarters of the training logs")
-        held_out = _hold_out(models, fitted, training)
-    progress(
-        f"setting spreads and thresholds on {sum(b.groups[ANALYSIS].frame.height for b in held_out)} samples"
-    )
+        whole = [transform(fitted, block) for block in training]
+        held_out = _hold_out(prepare, fitted, whole)
+        held_out += [([*prepare, *fitted], block) for block in whole]  # only these fill the long memories
+    progress(f"setting spreads and thresholds on {_rows([block for _, block in held_out])} samples")
     stages = [*prepare, *fitted, *_learn(decide, held_out)]
     return new_detector(recipe, stages, logs, calibrate, notes)
 
@@ -79,33 +84,34 @@ def _sections(stages: Sequence[Stage]) -> tuple[Sequence[Stage], Sequence[Stage]
     return stages[:prepare], stages[prepare:decide], stages[decide:]
 
 
-def _learn(stages: Sequence[Stage], blocks: Sequence[Log]) -> list[Stage]:
-    """The stages fitted one after the other, each on what the ones before it make of ``blocks``."""
+def _learn(stages: Sequence[Stage], passed: Sequence[Passed]) -> list[Stage]:
+    """The stages fitted one after the other, each on what the ones before it made of the blocks."""
     fitted: list[Stage] = []
     for stage in stages:
         if isinstance(stage, Learner):
-            stage = stage.fit(blocks)
-        blocks = [transform([stage], b) for b in blocks]
+            stage = stage.fit([block for _, block in passed], [before for before, _ in passed])
         fitted.append(stage)
+        following = []
+        for before, block in passed:
+            (*_, ready) = connected([*before, stage])
+            following.append(([*before, stage], transform([ready], block)))
+        passed = following
     return fitted
 
 
-def _hold_out(models: Sequence[Stage], fitted: Sequence[Stage], blocks: Sequence[Log]) -> list[Log]:
-    """Each log as predicted by models that have not seen the quarter in question."""
+def _hold_out(prepare: Sequence[Stage], fitted: Sequence[Stage], blocks: Sequence[Log]) -> list[Passed]:
+    """Each quarter of the logs, predicted by models whose parameters come from the other quarters."""
     quarters = [_parts(b) for b in blocks]
-    predicted: list[list[Log]] = [[] for _ in blocks]
+    held_out: list[Passed] = []
     for fold in range(FOLDS):
         seen = [q for parts in quarters for i, q in enumerate(parts) if i != fold]
-        fold_models = _learn(models, seen)
-        for i, parts in enumerate(quarters):
-            predicted[i].append(transform(fold_models, parts[fold]))
-    out = []
-    for block, parts in zip(blocks, predicted, strict=True):
-        whole, frame = concat(parts), transform(fitted, block).groups[ANALYSIS].frame
-        # each fold has a map of its own; a regime is a node of the final one
-        final = {c: frame[c].to_numpy() for c in (REGIME, IN_DOMAIN) if c in frame.columns}
-        out.append(add_columns(whole, final))
-    return out
+        models = [stage.refit(seen) if isinstance(stage, Learner) else stage for stage in fitted]
+        held_out += [([*prepare, *models], transform(models, parts[fold])) for parts in quarters]
+    return held_out
+
+
+def _rows(blocks: Sequence[Log]) -> int:
+    return sum(block.groups[ANALYSIS].frame.height for block in blocks)
 
 
 def _parts(block: Log) -> list[Log]:

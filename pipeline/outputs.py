@@ -14,13 +14,16 @@ import polars as pl
 
 from ingest.errors import LogError
 from ingest.log import TIME, Group, Log, Signal
+from stages.compensate import CORRECTED, CORRECTED_SD
+from stages.monitor import INDICATOR
 from stages.residuals import MODEL_SD, RESIDUAL, SIGMA
 from stages.results import Diagnosis
 
-SAMPLES, VERDICT, ANNOTATED, TIMELINE, MANIFEST = (
-    "samples.parquet", "verdict.json", "annotated.mcap", "timeline.rrd", "manifest.json",
+SAMPLES, SIGNALS, VERDICT, ANNOTATED, TIMELINE, MANIFEST = (
+    "samples.parquet", "signals.parquet", "verdict.json", "annotated.mcap", "timeline.rrd", "manifest.json",
 )  # fmt: skip
-ADDED = ("residuals", "regime", "verdict")  # groups of the annotated log
+MEASURED = (RESIDUAL, INDICATOR)
+ADDED = ("residuals", "regime", "verdict", "corrected")  # groups of the annotated log
 
 
 def write_run(diagnosis: Diagnosis, folder: Path, manifest: dict[str, Any], *, timeline: bool = True) -> None:
@@ -38,6 +41,8 @@ def write_run(diagnosis: Diagnosis, folder: Path, manifest: dict[str, Any], *, t
     draft = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
     try:
         diagnosis.samples.write_parquet(draft / SAMPLES)
+        if diagnosis.signals is not None:
+            diagnosis.signals.frame.write_parquet(draft / SIGNALS)
         (draft / VERDICT).write_text(to_json(diagnosis.verdict.to_json()), encoding="utf-8")
         write_log(annotated(diagnosis), draft / ANNOTATED)
         if timeline:
@@ -80,7 +85,7 @@ def annotated(diagnosis: Diagnosis) -> Log:
     )
     samples = diagnosis.samples
     kinds = {
-        "residuals": [c for c in samples.columns if c.startswith((RESIDUAL, SIGMA, MODEL_SD, "z."))],
+        "residuals": [c for c in samples.columns if c.startswith((*MEASURED, SIGMA, MODEL_SD, "z."))],
         "verdict": [c for c in samples.columns if c.startswith(("detection", "evidence.", "p."))],
     }
     kinds["regime"] = [c for c in samples.columns if c not in (TIME, *kinds["residuals"], *kinds["verdict"])]
@@ -95,7 +100,18 @@ def annotated(diagnosis: Diagnosis) -> Log:
         for name, columns in kinds.items()
         if columns
     }
+    if diagnosis.verdict.signal and (corrected := _corrected(diagnosis)):
+        groups["corrected"] = corrected
     return replace(log, groups={**log.groups, **groups}).with_events(diagnosis.verdict.events)
+
+
+def _corrected(diagnosis: Diagnosis) -> Group | None:
+    """The readings of the isolated sensor as a healthy one would have given them."""
+    group, signal = diagnosis.signals, diagnosis.verdict.signal
+    columns = [signal + CORRECTED, signal + CORRECTED_SD] if signal else []
+    if group is None or not set(columns) <= set(group.signals):
+        return None
+    return Group("corrected", group.frame.select(TIME, *columns), {c: group.signals[c] for c in columns})
 
 
 def to_json(value: Any) -> str:
@@ -107,7 +123,7 @@ def _group(name: str, frame: pl.DataFrame, diagnosis: Diagnosis, renamed: Mappin
     signals = {}
     for c in frame.columns[1:]:
         kind, _, residual = c.partition(".")
-        unit = diagnosis.units.get(residual) if kind in ("residual", "sigma", "model_sd") else "1"
+        unit = diagnosis.units.get(residual) if f"{kind}." in (*MEASURED, SIGMA, MODEL_SD) else "1"
         state = frame.schema[c].is_integer() or frame.schema[c] == pl.Boolean
         signals[renamed.get(c, c)] = Signal(
             name=renamed.get(c, c), unit=unit, kind="state" if state else "continuous",

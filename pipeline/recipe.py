@@ -26,7 +26,7 @@ from typing import Any, cast, get_type_hints
 from pydantic import ConfigDict, TypeAdapter, ValidationError, create_model
 
 from ingest.errors import RecipeError, did_you_mean
-from pipeline.digest import settings
+from pipeline.digest import NOT_SETTINGS, settings
 from stages import STAGES
 from stages.align import Align
 from stages.stage import Stage
@@ -173,7 +173,7 @@ def _build_stage(number: int, entry: dict[str, Any], problems: list[str]) -> Sta
     if lacking := [part for part in STAGE_PARTS if not hasattr(cls, part)]:
         problems.append(f"{where}: {use!r} has no {', '.join(lacking)}; see stages.stage.Stage")
         return None
-    known = {f.name: f for f in fields(cls) if f.name != "learned"}
+    known = {f.name: f for f in fields(cls) if f.name not in NOT_SETTINGS}
     if (values := _validate(cls, known, entry, where + ": ", problems)) is None:
         return None
     try:

@@ -11,6 +11,10 @@ STAGES = {
     "normalise": "stages.normalise:Normalise",
     "relations": "stages.relations:Relations",
     "residuals": "stages.residuals:Residuals",
-    "detect": "stages.detect:Detect",
     "isolate": "stages.isolate:Isolate",
+    "detect": "stages.detect:Detect",
+    "signatures": "stages.signatures:Signatures",
+    "denoise": "stages.denoise:Denoise",
+    "monitor": "stages.monitor:Monitor",
+    "compensate": "stages.compensate:Compensate",
 }

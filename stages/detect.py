@@ -11,9 +11,9 @@ mean square ``S2 / S0`` counts whole:
 
     z = m / sqrt(V / S0^2 + S2 / S0 + offset^2).
 
-The alarm statistic is the largest ``|z|`` over residuals and memories: short memories find large faults at
-once, long ones small faults. It must exceed the threshold for ``confirm_s``; the alarm ends when it has
-stayed below 0.7 times the threshold for ``clear_s``. Every quantity at a row is made of data up to that row.
+The alarm statistic is the largest ``|z|`` over residuals and memories, each in units of its threshold: short
+memories find large faults at once, long ones small faults. It must exceed 1 for ``confirm_s``; the alarm ends
+when it has stayed below 0.7 for ``clear_s``. Every quantity at a row is made of data up to that row.
 
 While there is no alarm, ``mean.<r>`` and ``mean_sd.<r>`` are those of the memory with the largest ``|z|``;
 from the alarm on they are those of the episode, which starts from the shortest memory and forgets with the
@@ -34,20 +34,21 @@ from numpy.typing import NDArray
 from ingest.errors import RecipeError
 from ingest.log import TIME, Log
 from stages.residuals import MODEL_SD, RESIDUAL, SIGMA, residual_names
-from stages.stage import ANALYSIS, Arrays, add_columns, columns
+from stages.results import DETECTION, STATISTIC
+from stages.stage import ANALYSIS, Arrays, Stage, add_columns, columns
 
 Array = NDArray[np.float64]
-DETECTION, STATISTIC = "detection", "statistic"
 MEAN, MEAN_SD = "mean.", "mean_sd."
 
 
 @dataclass(frozen=True, eq=False)
 class DetectState:
-    """Sums S0, S1, S2, V by memory (the episode last) and residual, shape (4, T + 1, R); the alarm's clocks."""
+    """Sums S0, S1, S2, V by memory (the episode last) and residual, (4, T + 1, R); the alarm's clocks."""
 
     time: float
     S: Array
     clocks: Array  # [in alarm (0 or 1), time above the threshold, time below the release level]
+    largest: Array  # |z| so far, by memory and residual
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,8 +56,8 @@ class Detect:
     """Memories in s, the noise's correlation time, and how an alarm is confirmed and cleared.
 
     ``offset``: known run-to-run standard deviation of a residual's mean; what the calibration logs show is
-    taken where it is larger. The threshold is ``margin`` times the largest statistic in the calibration logs,
-    at least ``min_threshold``.
+    taken where it is larger. The threshold of a residual over a memory is ``margin`` times the largest
+    ``|z|`` in the calibration logs, at least ``min_threshold``.
 
     Raises:
         RecipeError: memories are not increasing and positive, or nothing has been learned yet.
@@ -68,7 +69,7 @@ class Detect:
     correlation_s: float = 2.0
     offset: Mapping[str, float] = field(default_factory=dict)
     margin: float = 1.25
-    min_threshold: float = 4.0
+    min_threshold: float = 5.0
     confirm_s: float = 2.0
     clear_s: float = 10.0
     learned: Arrays = field(default_factory=dict)
@@ -78,15 +79,21 @@ class Detect:
         if not m or m[0] <= 0 or any(b <= a for a, b in pairwise(m)):
             raise RecipeError(f"detect: memories_s must be positive and increasing, got {list(m)}")
 
-    def fit(self, blocks: Sequence[Log]) -> Self:
+    def fit(self, blocks: Sequence[Log], before: Sequence[Sequence[Stage]] = (), /) -> Self:
         names = residual_names(blocks[0])
         given = np.array([self.offset.get(r, 0.0) for r in names])
         seen = np.array([between_runs(blocks, r, self.memories_s[-1], self.correlation_s) for r in names])
-        silent = replace(self, learned={"offset": np.maximum(given, seen), "threshold": np.array(np.inf)})
-        worst = [columns(silent.step(silent.start(), b)[1], [STATISTIC])[STATISTIC] for b in blocks]
-        largest = float(np.nanmax(np.concatenate(worst), initial=0.0))
-        threshold = max(self.margin * largest, self.min_threshold)
-        return replace(self, learned={**silent.learned, "threshold": np.array(threshold)})
+        offset = np.maximum(given, seen)
+        silent = replace(self, learned={"offset": offset, "threshold": np.full(self._shape(names), np.inf)})
+        largest = np.max([silent.step(silent.start(), b)[0].largest for b in blocks], axis=0)
+        threshold = np.maximum(self.margin * largest, self.min_threshold)
+        return replace(self, learned={"offset": offset, "threshold": threshold})
+
+    def _shape(self, names: Sequence[str]) -> tuple[int, int]:
+        return len(self.memories_s), len(names)
+
+    def refit(self, blocks: Sequence[Log], /) -> Self:
+        return self.fit(blocks)
 
     @property
     def needs(self) -> set[str]:
@@ -97,8 +104,8 @@ class Detect:
         return {STATISTIC, DETECTION}
 
     def start(self) -> DetectState:
-        shape = (4, len(self.memories_s) + 1, len(self._learned("offset")))
-        return DetectState(np.nan, np.zeros(shape), np.zeros(3))
+        T, R = self._learned("threshold").shape
+        return DetectState(np.nan, np.zeros((4, T + 1, R)), np.zeros(3), np.zeros((T, R)))
 
     def step(self, state: DetectState, block: Log, /) -> tuple[DetectState, Log]:
         names = residual_names(block)
@@ -106,17 +113,17 @@ class Detect:
         e, sigma, doubt = (_stack(block, prefix, names) for prefix in (RESIDUAL, SIGMA, MODEL_SD))
         dt = np.diff(time, prepend=state.time)
         dt = np.where(np.isfinite(dt), dt, self.correlation_s)
-        S, clocks = state.S.copy(), state.clocks.copy()
+        S, clocks, largest = state.S.copy(), state.clocks.copy(), state.largest.copy()
         statistic, detection, mean, sd = _run(
             dt, e, sigma, doubt, np.array([*self.memories_s, self.memories_s[-1]]), self._learned("offset"),
-            float(self._learned("threshold")), np.array([self.correlation_s, self.confirm_s, self.clear_s]),
-            S, clocks,
+            self._learned("threshold"), np.array([self.correlation_s, self.confirm_s, self.clear_s]),
+            S, clocks, largest,
         )  # fmt: skip
         added: dict[str, NDArray[Any]] = {STATISTIC: statistic, DETECTION: detection}
         for i, r in enumerate(names):
             added |= {MEAN + r: mean[:, i], MEAN_SD + r: sd[:, i]}
         last = float(time[-1]) if time.size else state.time
-        return DetectState(last, S, clocks), add_columns(block, added)
+        return DetectState(last, S, clocks, largest), add_columns(block, added)
 
     def _learned(self, name: str) -> NDArray[Any]:
         if name not in self.learned:
@@ -152,10 +159,11 @@ def _spread(S: Array, offset: float) -> float:  # pragma: no cover - compiled
 
 @njit(cache=True)
 def _run(
-    dt: Array, e: Array, sigma: Array, doubt: Array, memories: Array, offset: Array, threshold: float,
-    times: Array, S: Array, clocks: Array,
+    dt: Array, e: Array, sigma: Array, doubt: Array, memories: Array, offset: Array, threshold: Array,
+    times: Array, S: Array, clocks: Array, largest: Array,
 ) -> tuple[Array, NDArray[np.int8], Array, Array]:  # fmt: skip  # pragma: no cover - compiled
-    """The recursion over the rows; changes ``S`` and ``clocks`` in place. The last memory is the episode."""
+    """The recursion over the rows; changes ``S``, ``clocks`` and ``largest`` in place. The last memory is the
+    episode."""
     N, R = e.shape
     statistic, detection = np.zeros(N), np.zeros(N, dtype=np.int8)
     mean, sd = np.full((N, R), np.nan), np.full((N, R), np.nan)
@@ -177,15 +185,16 @@ def _run(
                     S[3, i, r] += weight
                 if i != episode and S[0, i, r] > 0:
                     z = abs(S[1, i, r]) / S[0, i, r] / _spread(S[:, i, r], offset[r])
-                    if z > statistic[k]:
-                        statistic[k], best = z, i
+                    largest[i, r] = max(largest[i, r], z)
+                    if z / threshold[i, r] > statistic[k]:
+                        statistic[k], best = z / threshold[i, r], i
         if clocks[0] == 0:
-            clocks[1] = clocks[1] + dt[k] if statistic[k] > threshold else 0.0
+            clocks[1] = clocks[1] + dt[k] if statistic[k] > 1.0 else 0.0
             if clocks[1] >= confirm:
                 clocks[:] = np.array([1.0, 0.0, 0.0])
                 S[:, episode] = S[:, 0]
         else:
-            clocks[2] = clocks[2] + dt[k] if statistic[k] < 0.7 * threshold else 0.0
+            clocks[2] = clocks[2] + dt[k] if statistic[k] < 0.7 else 0.0
             if clocks[2] >= clear:
                 clocks[:] = 0.0
         i = episode if clocks[0] == 1 else best

@@ -16,6 +16,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ingest.errors import RecipeError, did_you_mean
+from ingest.physics import orifice_flow
+
+Array = NDArray[np.float64]
+
+DISCHARGE = 0.65  # of a sharp-edged hole
+
+
+def leak_flow(diameter: Array, p_up: Array, T_up: Array, p_dn: Array) -> Array:
+    """Air flow in g/s out of a hole of ``diameter`` mm, from ``p_up`` (kPa, ``T_up`` in K) to ``p_dn``
+    (5.26), (5.31); negative where ``p_dn`` is higher."""
+    area = DISCHARGE * np.pi / 4 * (1e-3 * diameter) ** 2
+    return 1e3 * orifice_flow(area, 1e3 * p_up, T_up, 1e3 * p_dn)
+
 
 FUNCTIONS: dict[str, Callable[..., Any]] = {
     "ln": np.log,
@@ -24,6 +37,7 @@ FUNCTIONS: dict[str, Callable[..., Any]] = {
     "abs": np.abs,
     "min": np.minimum,
     "max": np.maximum,
+    "leak_flow": leak_flow,
 }
 _ALLOWED = (
     ast.Expression, ast.BinOp, ast.UnaryOp, ast.Call, ast.Name, ast.Load, ast.Constant,

@@ -109,11 +109,13 @@ def fit_gsmms(
     growth: Growth | None = None,
     combination: Combination = "blended",
     neighbourhood: float = 0.4,
+    partition: Partition | None = None,
 ) -> Gsmms:
     """Fit ``y`` (N,) on normalised regressors ``S`` (N, d) with sample weights (N,); incomplete rows do not
     count.
 
-    ``neighbourhood`` is sigma of (5.49) in edges of the map, for ``hard`` regions.
+    ``neighbourhood`` is sigma of (5.49) in edges of the map, for ``hard`` regions. With ``partition`` given
+    no map is grown.
 
     Raises:
         LogError: fewer complete rows than three per parameter of one affine model.
@@ -131,12 +133,12 @@ def fit_gsmms(
             f"{len(S)} complete samples are too few for a model with {S.shape[1]} regressors; "
             f"at least {3 * (S.shape[1] + 1)} are needed: take longer or more fault-free logs"
         )
-    partition = grow(S, y, weight, growth)
+    partition = partition or grow(S, y, weight, growth)
     if combination == "hard" or len(partition.nodes) == 1:
         theta, root, width = *_fit_hard(partition, S, y, weight, neighbourhood), 0.0
     else:
         theta, root, width = _fit_blended(partition.nodes, S, y, weight)
-    mean, whiten, reach = _domain(partition, S)
+    mean, whiten, reach = _domain(partition, S, weight)
     model = Gsmms(partition, theta, root, 1.0, width, mean, whiten, reach)
     return replace(model, rms=float(np.sqrt(np.average((y - model.predict(S)) ** 2, weights=weight))))
 
@@ -203,18 +205,26 @@ def _fit_blended(nodes: Array, S: Array, y: Array, weight: Array) -> tuple[Array
     return theta, np.asarray(np.linalg.solve(L, total.T).T, dtype=np.float64), width
 
 
-def _domain(partition: Partition, S: Array) -> tuple[Array, Array, float]:
+def _domain(partition: Partition, S: Array, weight: Array) -> tuple[Array, Array, float]:
     """Mean and whitening of each region's samples, and the 99.9 % quantile of the whitened distance."""
     unit, (M, d) = partition.assign(S), partition.nodes.shape
-    common = np.cov(S.T, ddof=0).reshape(d, d)
+    common = np.cov(S.T, aweights=weight, ddof=0).reshape(d, d) / M ** (2 / d)  # a region of average size
     mean, whiten = partition.nodes.copy(), np.empty((M, d, d))
     prior = d + 2
-    for m in range(M):
-        rows = S[unit == m]
-        spread = common / M ** (2 / d)  # what a region of average size would have
-        if len(rows) > 1:
-            mean[m] = rows.mean(axis=0)
-            spread = (len(rows) * np.cov(rows.T, ddof=0).reshape(d, d) + prior * spread) / (len(rows) + prior)
+    visited = np.bincount(unit, weight, minlength=M) >= prior
+    visited |= not visited.any()
+    for m in np.flatnonzero(visited):
+        rows, w = S[unit == m], weight[unit == m]
+        mean[m] = np.average(rows, axis=0, weights=w)
+        own = np.cov(rows.T, aweights=w, ddof=0).reshape(d, d)
+        spread = (w.sum() * own + prior * common) / (w.sum() + prior)
         whiten[m] = np.linalg.inv(np.linalg.cholesky(spread + 1e-9 * np.eye(d)))
-    away = np.einsum("nij,nj->ni", whiten[unit], S - mean[unit])
-    return mean, whiten, float(np.quantile(np.sqrt((away**2).sum(axis=1)), 0.999))
+    for m in np.flatnonzero(
+        ~visited
+    ):  # nobody has been here: what counts is how far it is from where one was
+        nearest = np.flatnonzero(visited)[cdist(partition.nodes[[m]], partition.nodes[visited]).argmin()]
+        mean[m], whiten[m] = mean[nearest], whiten[nearest]
+    away = np.sqrt((np.einsum("nij,nj->ni", whiten[unit], S - mean[unit]) ** 2).sum(axis=1))
+    order = np.argsort(away)
+    mass = np.cumsum(weight[order])
+    return mean, whiten, float(away[order][np.searchsorted(mass, 0.999 * mass[-1])])

@@ -40,6 +40,7 @@ STEPS = 12
 TOLERANCE = 0.03  # of minus twice the log-likelihood: a sixth of a standard deviation before the last step
 STIFF = 1e-4  # a drift that is as good as none
 LEAST_LAG = 0.05  # samples
+LARGEST_STEP = 2.0  # of a parameter, most of which are logarithms
 CHUNK = 256  # samples whose columns are kept at once
 
 
@@ -283,7 +284,7 @@ def _noise(log_tau: float, gamma: Array, variance: float, dt: float, phi: float)
 
 
 def _possible(structure: Structure, p: Array) -> bool:
-    """C has its zeros inside the unit circle, there is process disturbance, and the sensor has a lag at all."""
+    """C has its zeros inside the unit circle, there is process disturbance, and the sensor lags at all."""
     gamma = p[structure.plant_order + 2 :]
     inside = abs(gamma[-1]) < 0.98 and (gamma.size == 1 or abs(gamma[0]) < 0.98 * (1.0 + gamma[1]))
     if not (inside and np.exp(p[0]) > LEAST_LAG * structure.dt):
@@ -320,7 +321,7 @@ def fit(
         H[np.arange(k), np.arange(k)] *= 1.0 + damping
         step = _solve(H, g)
         trial, x0_trial = p + step[:k], x0 + step[k : k + x0.size]
-        if not _possible(structure, trial):
+        if np.abs(step[:k]).max() > LARGEST_STEP or not _possible(structure, trial):
             damping = max(10.0 * damping, 1e-3)
             continue
         G_trial, end_trial = structure.gram(trial, x0_trial, u, y)

@@ -1,94 +1,328 @@
-"""Isolate by a table of fault signatures, such as Table 5.2: which residuals a fault moves, and which it does
-not.
+"""Isolate by undoing: which supposed fault, undone on the log, makes the residuals those of a healthy system?
 
-A table row marks every residual ``0`` (stays at zero), ``x`` (moves), ``+`` or ``-`` (moves to that side).
-With the remembered mean of residual r in units of its standard deviation, ``z_r = mean_r / mean_sd_r ~
-N(mu_r, 1)``, a fault claims ``mu_r = 0`` for the unmarked residuals and ``mu_r ~ N(0, reach^2)`` (or the half
-of it with the claimed sign) for the others. The log-likelihood ratio to ``none``, where all ``mu_r = 0``, is
+Every hypothesis f is undone at every size theta of its grid (:mod:`stages.hypotheses`), the residuals are
+computed anew, and their log-likelihood L is kept over several memories (:mod:`stages.evidence`). Between two
+sizes of the grid the residuals are interpolated linearly, at ``between - 1`` further sizes. With the
+peak over sizes and its standard deviation d, the evidence for f is the Laplace approximation of the ratio of
+marginal likelihoods,
 
-    evidence = sum_{marked} 1/2 [z^2 reach^2 / (1 + reach^2) - ln(1 + reach^2)] + ln 2 Phi(+-z reach / sqrt(1
-    + reach^2)),
+    evidence_f = L_f(peak) + ln min(1, sqrt(2 pi) d / range of sizes) - L_healthy,
 
-the last term for signed marks only: a fault that claims less wins where it explains as much. ``unknown`` lets
-every residual of the table move and pays ``unknown_penalty`` for that, so it wins where no row fits. While
-there is an alarm ``p`` are the posterior probabilities with equal priors over faults and ``unknown``; else
-all are 0.
+where being healthy includes the drifts that healthy systems show. ``unknown`` is any constant offset in every
+residual of the log as it is, with standard deviation ``unknown_sd`` times the residual's spread; it pays
+``unknown_penalty``, so that it wins only where all hypotheses leave much unexplained.
+
+A sample that no hypothesis brings to where the relations were trained says nothing: its weight falls from 1
+at a novelty of 1 to 0 at ``known_to``.
+
+The alarm statistic is the largest amount by which the evidence of a fault over a memory exceeds its
+threshold; it must be positive for ``confirm_s``. From then on the evidence is that of the episode, which
+starts from the second shortest memory and forgets with the longest. ``p`` is the softmax of the evidence
+times ``temper``, as samples are correlated beyond ``tau_c``. The alarm ends when over the second shortest
+memory the log as it is was better than the named fault by ``clear``, or no fault has evidence any more, for
+``confirm_s``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, ClassVar
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import pairwise
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
-from scipy.special import log_ndtr, logsumexp
 
 from ingest.errors import RecipeError
-from ingest.log import Log
-from stages.detect import DETECTION, MEAN, MEAN_SD
-from stages.residuals import RESIDUAL, residual_names
-from stages.stage import add_columns, columns
+from ingest.log import TIME, Log
+from stages.evidence import SUMS, add_sample, between, evidence_of, excess, tame
+from stages.formula import Formula
+from stages.gate import GATE
+from stages.hypotheses import DRIFT_PRIOR, Drift, Hypothesis, Points
+from stages.relations import familiarity
+from stages.residuals import Residuals
+from stages.results import DETECTION, EVIDENCE, PROBABILITY, SIZE, SIZE_SD, STATISTIC, UNKNOWN
+from stages.stage import ANALYSIS, Arrays, RowWise, Stage, add_columns, columns
 
-EVIDENCE, PROBABILITY, UNKNOWN = "evidence.", "p.", "unknown"
-MARKS = ("0", "x", "+", "-")
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class IsolateState:
+    """Time of the log's first and last row; sums by memory (the episode last), point and residual, shape (T +
+    1, points, residuals, SUMS); [in alarm, s since the alarm's condition or its end's holds, named fault, its
+    size and evidence, s since the alarm]."""
+
+    first: float
+    time: float
+    S: Array
+    clocks: Array
+    largest: Array  # evidence so far, by memory and fault
 
 
 @dataclass(frozen=True, kw_only=True)
 class Isolate:
-    """``table`` maps a fault to its marks by residual; residuals it does not name are ``0``.
+    """``offsets``: by residual, what differs from run to run: a shape's formula and its standard deviation;
+    ``residuals``: those to judge by, all if none is named.
+
+    The threshold of a fault and a memory is ``margin`` more than the largest evidence in the calibration
+    logs, at least ``min_threshold``.
 
     Raises:
-        RecipeError: a mark is not one of ``0 x + -``, or a row marks nothing.
+        RecipeError: fewer than two memories, or not rising; more than two shapes for a residual; no residuals
+            before this stage; nothing learned yet.
     """
 
     version: ClassVar[str] = "1"
-    table: Mapping[str, Mapping[str, str]]
-    reach: float = 10.0
-    unknown_penalty: float = 3.0
+    learns_from: ClassVar[Literal["calibration"]] = "calibration"
+    hypotheses: Mapping[str, Hypothesis]
+    drifts: Mapping[str, Drift] = field(default_factory=dict)
+    offsets: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    residuals: tuple[str, ...] = ()
+    memories_s: tuple[float, ...] = (3.0, 10.0, 30.0, 100.0, 300.0)
+    correlation_s: float = 2.0
+    min_gate: float = 0.05
+    clip: float = 6.0
+    between: int = 4
+    known_to: float = 1.2
+    margin: float = 3.0
+    min_threshold: float = 12.0
+    confirm_s: float = 1.0
+    clear: float = 8.0
+    temper: float = 0.5
+    unknown_sd: float = 30.0
+    unknown_penalty: float = 20.0
+    learned: Arrays = field(default_factory=dict)
+    before: tuple[Stage, ...] = ()
 
     def __post_init__(self) -> None:
-        for fault, marks in self.table.items():
-            if bad := {r: m for r, m in marks.items() if m not in MARKS}:
-                raise RecipeError(f"isolate: {fault}: marks must be one of {MARKS}, got {bad}")
-            if all(m == "0" for m in marks.values()):
-                raise RecipeError(f"isolate: {fault} marks no residual; mark at least one with x, + or -")
+        m = self.memories_s
+        if len(m) < 2 or m[0] <= 0 or any(b <= a for a, b in pairwise(m)):
+            raise RecipeError(f"isolate: memories_s needs two or more rising times, got {list(m)}")
+        if crowded := [r for r, shapes in self.offsets.items() if len(shapes) > 2]:
+            raise RecipeError(
+                f"isolate: at most two shapes of offset for a residual; {crowded[0]!r} has more"
+            )
 
     @property
     def needs(self) -> set[str]:
-        return {DETECTION}.union(*({RESIDUAL + r for r in marks} for marks in self.table.values()))
+        shapes = {name for s in self.offsets.values() for text in s for name in Formula(text).names}
+        return shapes.union(*(h.needs for h in self.hypotheses.values()))
 
     @property
     def adds(self) -> set[str]:
-        return {EVIDENCE + f for f in self.table} | {PROBABILITY + f for f in (*self.table, UNKNOWN)}
+        faults = [*self.hypotheses, UNKNOWN]
+        return (
+            {DETECTION, STATISTIC}
+            | {EVIDENCE + f for f in self.hypotheses}
+            | {PROBABILITY + f for f in faults}
+        )
 
-    def start(self) -> None:
-        return None
+    def connect(self, before: Sequence[Stage], /) -> Self:
+        return replace(self, before=tuple(before))
 
-    def step(self, state: None, block: Log, /) -> tuple[None, Log]:
-        names = residual_names(block)
-        values = columns(block, [DETECTION, *(k + r for r in names for k in (MEAN, MEAN_SD))])
-        z = {r: np.nan_to_num(values[MEAN + r] / values[MEAN_SD + r]) for r in names}
-        evidence = {fault: self._evidence(marks, z) for fault, marks in self.table.items()}
-        marked = {r for marks in self.table.values() for r, mark in marks.items() if mark != "0"}
-        free = self._evidence(dict.fromkeys(sorted(marked), "x"), z) - self.unknown_penalty
-        stack = np.stack([*evidence.values(), free])
-        p = np.exp(stack - logsumexp(stack, axis=0)) * (values[DETECTION] > 0)
-        added: dict[str, NDArray[Any]] = {EVIDENCE + f: v.astype(np.float32) for f, v in evidence.items()}
-        added |= {PROBABILITY + f: p[i].astype(np.float32) for i, f in enumerate([*evidence, UNKNOWN])}
-        return None, add_columns(block, added, dict.fromkeys(added, "1"))
+    @cached_property
+    def points(self) -> Points:
+        """The grid, and the row-wise stages that are run again on corrected columns."""
+        chain: list[RowWise] = []
+        for stage in reversed(self.before):
+            if not isinstance(stage, RowWise):
+                break
+            chain.insert(0, stage)
+        known = [r for stage in chain if isinstance(stage, Residuals) for r in stage.residuals]
+        residuals = [r for r in known if r in self.residuals] if self.residuals else known
+        if not residuals:
+            raise RecipeError(
+                "isolate: put it right after the stages regressors, normalise, relations, residuals"
+            )
+        drifts = [d.hypothesis() for d in self.drifts.values()]
+        return Points([*drifts, *self.hypotheses.values()], chain, residuals)
 
-    def _evidence(
-        self, marks: Mapping[str, str], z: Mapping[str, NDArray[np.float64]]
-    ) -> NDArray[np.float64]:
-        share = self.reach**2 / (1 + self.reach**2)
-        total = np.zeros_like(next(iter(z.values())))
-        for residual, mark in marks.items():
-            if mark == "0":
-                continue
-            total += 0.5 * (share * z[residual] ** 2 - np.log1p(self.reach**2))
-            if mark in "+-":
-                side = z[residual] if mark == "+" else -z[residual]
-                total += np.log(2.0) + log_ndtr(np.sqrt(share) * side)
-        return total
+    def fit(self, blocks: Sequence[Log], before: Sequence[Sequence[Stage]] = (), /) -> Self:
+        shape = (len(self.memories_s), len(self.hypotheses))
+        silent = replace(self, learned={"threshold": np.full(shape, np.inf)})
+        largest = np.zeros(shape)
+        for block, passed in zip(blocks, before, strict=True):
+            stage = silent.connect(passed)
+            largest = np.maximum(largest, stage.step(stage.start(), block)[0].largest)
+        return replace(self, learned={"threshold": np.maximum(largest + self.margin, self.min_threshold)})
+
+    def refit(self, blocks: Sequence[Log], /) -> Self:
+        return self
+
+    def start(self) -> IsolateState:
+        if "threshold" not in self.learned:
+            raise RecipeError("isolate: nothing learned yet; fit it first")
+        shape = (len(self.memories_s) + 1, len(self._grid[0]) + 1, len(self.points.residuals), SUMS)
+        largest = np.full((len(self.memories_s), len(self.hypotheses)), -np.inf)
+        return IsolateState(np.nan, np.nan, np.zeros(shape), np.zeros(6), largest)
+
+    def step(self, state: IsolateState, block: Log, /) -> tuple[IsolateState, Log]:
+        time = block.groups[ANALYSIS].time
+        values = columns(block)
+        first = state.first if not time.size or np.isfinite(state.first) else float(time[0])
+        dt = np.diff(time, prepend=state.time)
+        dt = np.where(np.isfinite(dt), dt, self.correlation_s)
+        active = np.nan_to_num(values.get(GATE, np.ones(time.size)), nan=0.0) >= self.min_gate
+        wanted = {TIME, GATE, *self.points.needs} & values.keys()
+        needed = {c: values[c][active] for c in wanted}
+        e, sigma, doubt, novelty = self.points.evaluate(needed, time[active] - first)
+        known = familiarity(novelty, self.known_to)
+        left, right, share, points, sizes, count, prior = self._grid
+        S, clocks, largest = state.S.copy(), state.clocks.copy(), state.largest.copy()
+        out = _run(
+            dt, active, known, e, sigma, doubt, self._shapes(needed), self._sd, self._unknown_sd,
+            points, sizes, prior, count, left, right, share,
+            np.array([*self.memories_s, self.memories_s[-1]]),
+            self.learned["threshold"], self._numbers, S, clocks, largest,
+        )  # fmt: skip
+        last = float(time[-1]) if time.size else state.time
+        return IsolateState(first, last, S, clocks, largest), add_columns(block, self._columns(*out))
+
+    def _columns(
+        self, statistic: Array, detection: NDArray[np.int8], evidence: Array, p: Array, size: Array, sd: Array
+    ) -> dict[str, NDArray[Any]]:
+        added: dict[str, NDArray[Any]] = {STATISTIC: statistic, DETECTION: detection}
+        for i, fault in enumerate(self.hypotheses):
+            added |= {EVIDENCE + fault: evidence[:, i].astype(np.float32), SIZE + fault: size[:, i]}
+            width = np.where(np.isfinite(sd[:, i]), sd[:, i], np.nan)
+            added |= {SIZE_SD + fault: width, PROBABILITY + fault: p[:, i].astype(np.float32)}
+        return added | {PROBABILITY + UNKNOWN: p[:, -1].astype(np.float32)}
+
+    def _shapes(self, values: Mapping[str, Array]) -> Array:
+        """Offset shapes at each row, shape (rows, residuals, 2)."""
+        shapes = np.zeros((len(values[TIME]), len(self.points.residuals), 2))
+        for i, r in enumerate(self.points.residuals):
+            for k, text in enumerate(self.offsets.get(r, {})):
+                shapes[:, i, k] = Formula(text)(values)
+            if r not in self.offsets:
+                shapes[:, i, 0] = 1.0  # for `unknown`
+        return shapes
+
+    @property
+    def _numbers(self) -> Array:
+        """The settings that the compiled recursion needs."""
+        confirm, clear = self.confirm_s, self.clear
+        return np.array([self.correlation_s, self.clip, confirm, clear, self.temper, self.unknown_penalty])
+
+    @cached_property
+    def _sd(self) -> Array:
+        """Standard deviations of the offsets, shape (residuals, 2)."""
+        sd = np.zeros((len(self.points.residuals), 2))
+        for i, r in enumerate(self.points.residuals):
+            given = list(self.offsets.get(r, {}).values())
+            sd[i, : len(given)] = given
+        return sd
+
+    @cached_property
+    def _unknown_sd(self) -> Array:
+        """The same, with the first offset wide enough for anything."""
+        learned = {
+            r: s.learned["sigma"][i, -1]
+            for s in self.points.chain
+            if isinstance(s, Residuals)
+            for i, r in enumerate(s.residuals)
+        }
+        sigma = np.array([learned[r] for r in self.points.residuals])
+        return np.column_stack([np.maximum(self.unknown_sd * sigma, self._sd[:, 0]), self._sd[:, 1]])
+
+    @cached_property
+    def _grid(
+        self,
+    ) -> tuple[
+        NDArray[np.int64], NDArray[np.int64], Array, NDArray[np.int64], Array, NDArray[np.int64], Array
+    ]:
+        """The refined grid: for each of its points the points computed on either side and the share of the
+        right one; points and sizes of each fault in order, 0 (the log as it is) among them, and their number;
+        the log prior of each point as a healthy one, -inf for the faults'."""
+        healthy = 1 + len(self.drifts) * len(DRIFT_PRIOR)
+        left, right, share = list(range(healthy)), list(range(healthy)), [0.0] * healthy
+        grids: list[list[tuple[float, int]]] = []
+        start = healthy
+        for h in self.hypotheses.values():
+            computed = sorted([(0.0, 0), *zip(h.sizes, range(start, start + len(h.sizes)), strict=True)])
+            start += len(h.sizes)
+            grid = []
+            for (x, a), (y, b) in pairwise([*computed, computed[-1]]):
+                for k in range(self.between if b != a else 1):
+                    if a == 0 and k == 0:
+                        grid.append((0.0, 0))
+                        continue
+                    grid.append((x + (y - x) * k / self.between, len(left)))
+                    left.append(a)
+                    right.append(b)
+                    share.append(k / self.between)
+            grids.append(grid)
+        widest = max(len(grid) for grid in grids)
+        points, sizes = np.full((len(grids), widest), -1), np.zeros((len(grids), widest))
+        for i, grid in enumerate(grids):
+            sizes[i, : len(grid)], points[i, : len(grid)] = zip(*grid, strict=True)
+        prior = np.full(len(left), -np.inf)
+        plain = 1.0 - sum(DRIFT_PRIOR) if self.drifts else 1.0
+        prior[:healthy] = np.log([plain, *np.tile(DRIFT_PRIOR, len(self.drifts)) / max(len(self.drifts), 1)])
+        counts = np.array([len(grid) for grid in grids])
+        return np.array(left), np.array(right), np.array(share), points, sizes, counts, prior
+
+
+@njit(cache=True)
+def _run(
+    dt: Array, active: NDArray[np.bool_], known: Array, e: Array, sigma: Array, doubt: Array, shapes: Array,
+    sd: Array, unknown_sd: Array,
+    points: NDArray[np.int64], sizes: Array, prior: Array, count: NDArray[np.int64],
+    left: NDArray[np.int64], right: NDArray[np.int64], share: Array, memories: Array,
+    threshold: Array, numbers: Array, S: Array, clocks: Array, largest: Array,
+) -> tuple[Array, NDArray[np.int8], Array, Array, Array, Array]:  # fmt: skip  # pragma: no cover - compiled
+    """The recursion over the rows; changes ``S``, ``clocks`` and ``largest`` in place."""
+    N, F, T = len(dt), points.shape[0], len(memories) - 1
+    correlation, clip, confirm, clear, temper, penalty = numbers
+    statistic, detection = np.full(N, -np.inf), np.zeros(N, dtype=np.int8)
+    out_evidence, out_p = np.zeros((N, F)), np.zeros((N, F + 1))
+    out_size, out_sd = np.zeros((N, F)), np.zeros((N, F))
+    row = 0
+    for k in range(N):
+        weight = min(dt[k], correlation) / correlation
+        if active[k]:
+            weight *= known[row]
+            spread, own = between(sigma[row], left, right, share), between(doubt[row], left, right, share)
+            tamed = tame(between(e[row], left, right, share), spread, S[1, :-1], clip)
+        for i in range(T + 1):
+            S[i] *= np.exp(-dt[k] / memories[i])
+            if active[k]:
+                add_sample(S[i, :-1], tamed, spread, own, shapes[row], weight)
+                add_sample(S[i, -1:], e[row, :1], sigma[row, :1], doubt[row, :1], shapes[row], weight)
+        row += active[k]
+        best, named, tamed = np.full(F + 1, -np.inf), 0.0, np.empty((0, 0))
+        for i in range(T):
+            evidence, size, size_sd = evidence_of(S[i], sd, unknown_sd, points, sizes, prior, count)
+            if i == 1 and clocks[0] == 1:
+                named = excess(S[1], sd, points[int(clocks[2])], sizes[int(clocks[2])], clocks[3])
+            for f in range(F):
+                largest[i, f] = max(largest[i, f], evidence[f])
+                statistic[k] = max(statistic[k], evidence[f] - threshold[i, f])
+                if evidence[f] > best[f]:
+                    best[f], out_size[k, f], out_sd[k, f] = evidence[f], size[f], size_sd[f]
+        if clocks[0] == 0:
+            clocks[1] = clocks[1] + dt[k] if statistic[k] > 0 else 0.0
+            if clocks[1] >= confirm:
+                clocks[:] = 0.0
+                clocks[0] = 1.0
+                S[T] = 0.0
+        else:
+            clocks[5] += dt[k]
+            over = clocks[5] > memories[1] and (named < -clear or clocks[4] < 0.0)
+            clocks[1] = clocks[1] + dt[k] if over else 0.0
+            if clocks[1] >= confirm:
+                clocks[:] = 0.0
+                S[2:] = S[1]  # what the long memories hold is over
+        if clocks[0] == 1:
+            best, out_size[k], out_sd[k] = evidence_of(S[T], sd, unknown_sd, points, sizes, prior, count)
+            best[F] -= penalty
+            odds = np.exp(temper * (best - np.max(best)))
+            out_p[k] = odds / odds.sum()
+            clocks[2] = np.argmax(best[:F])
+            clocks[3], clocks[4] = out_size[k, int(clocks[2])], np.max(best[:F])
+        out_evidence[k] = best[:F]
+        detection[k] = np.int8(clocks[0])
+    return statistic, detection, out_evidence, out_p, out_size, out_sd

@@ -6,15 +6,16 @@ The scaled copy of a column ``x`` is the column ``x.norm``; the column itself ke
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import ClassVar, Literal, Self
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ingest.errors import LogError, RecipeError
 from ingest.log import Log
-from stages.stage import Arrays, add_columns, columns
+from stages.stage import Arrays, Stage, add_columns, columns
 
 SUFFIX = ".norm"
 
@@ -39,7 +40,7 @@ class Normalise:
         if not 0 <= self.tail < 0.5:
             raise RecipeError(f"normalise: tail = {self.tail} must be in [0, 0.5)")
 
-    def fit(self, blocks: Sequence[Log]) -> Self:
+    def fit(self, blocks: Sequence[Log], before: Sequence[Sequence[Stage]] = (), /) -> Self:
         lo, hi = [], []
         for name in self.columns:
             x = np.concatenate([columns(b, [name])[name] for b in blocks])
@@ -54,6 +55,9 @@ class Normalise:
             hi.append(high)
         return replace(self, learned={"lo": np.array(lo), "hi": np.array(hi)})
 
+    def refit(self, blocks: Sequence[Log], /) -> Self:
+        return self
+
     @property
     def needs(self) -> set[str]:
         return set(self.columns)
@@ -66,11 +70,11 @@ class Normalise:
         return None
 
     def step(self, state: None, block: Log, /) -> tuple[None, Log]:
+        scaled = self.compute(columns(block, self.columns))
+        return None, add_columns(block, scaled, dict.fromkeys(scaled, "1"))
+
+    def compute(self, values: Mapping[str, NDArray[np.float64]]) -> dict[str, NDArray[Any]]:
         if not self.learned:
             raise RecipeError("normalise: nothing learned yet; fit it first")
         lo, hi = self.learned["lo"], self.learned["hi"]
-        scaled = {
-            n + SUFFIX: (x - lo[i]) / (hi[i] - lo[i])
-            for i, (n, x) in enumerate(columns(block, self.columns).items())
-        }
-        return None, add_columns(block, scaled, dict.fromkeys(scaled, "1"))
+        return {n + SUFFIX: (values[n] - lo[i]) / (hi[i] - lo[i]) for i, n in enumerate(self.columns)}

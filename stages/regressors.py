@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ingest.log import TIME, Log
 from stages.formula import Formula
@@ -49,8 +50,10 @@ class Regressors:
         return None
 
     def step(self, state: None, block: Log, /) -> tuple[None, Log]:
-        values = columns(block)
+        return None, add_columns(block, self.compute(columns(block)), self.units)
+
+    def compute(self, values: Mapping[str, NDArray[np.float64]]) -> dict[str, NDArray[Any]]:
+        added: dict[str, NDArray[Any]] = {}
         for name, formula in self.formulas.items():
-            values[name] = np.broadcast_to(formula(values), values[TIME].shape)
-        added = {n: values[n] for n in self.formulas if n != TIME}
-        return None, add_columns(block, added, self.units)
+            added[name] = np.broadcast_to(formula({**values, **added}), values[TIME].shape)
+        return added

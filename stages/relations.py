@@ -5,7 +5,8 @@ Fitted on fault-free training logs; each relation adds its prediction as a colum
 training data. ``doubt`` is above 1, since samples are correlated, and beyond the trained domain an affine
 model errs with the square of the distance. One relation also names the operating regime: column ``regime`` is
 the best matching unit on its map. ``novelty`` is a relation's own or the regime's, whichever is larger: at an
-operating point that was never met, no relation can be trusted. ``in_domain`` says that none is above 1; no
+operating point that was never met, no relation can be trusted. Column ``novelty`` is the
+largest, ``in_domain`` says that it is at most 1; no
 sample is thrown away.
 """
 
@@ -24,10 +25,16 @@ from ingest.log import Log
 from stages.gate import GATE
 from stages.gsmms import Combination, Gsmms, fit_gsmms
 from stages.normalise import SUFFIX
-from stages.partition import Growth
-from stages.stage import Arrays, add_columns, columns
+from stages.partition import Growth, Partition
+from stages.stage import Arrays, Stage, add_columns, columns
 
-REGIME, IN_DOMAIN, SD = "regime", "in_domain", ".sd"
+REGIME, NOVELTY, IN_DOMAIN, SD = "regime", "novelty", "in_domain", ".sd"
+
+
+def familiarity(novelty: NDArray[np.float64], known_to: float) -> NDArray[np.float64]:
+    """How much a sample's evidence counts: 1 up to a novelty of 1, falling to 0 at ``known_to``."""
+    known = np.where(novelty < known_to, novelty, known_to)  # a missing or infinite one counts for nothing
+    return np.clip((known_to - known) / (known_to - 1.0), 0.0, 1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,7 +58,12 @@ class Relation:
                 f"samples_per_parameter = {self.samples_per_parameter}"
             )
 
-    def fit(self, values: Mapping[str, NDArray[np.float64]], weight: NDArray[np.float64]) -> Gsmms:
+    def fit(
+        self,
+        values: Mapping[str, NDArray[np.float64]],
+        weight: NDArray[np.float64],
+        partition: Partition | None = None,
+    ) -> Gsmms:
         growth = Growth(
             nodes=self.nodes, samples_per_parameter=self.samples_per_parameter, max_error=self.max_error
         )
@@ -62,6 +74,7 @@ class Relation:
             growth=growth,
             combination=self.combination,
             neighbourhood=self.neighbourhood,
+            partition=partition,
         )
 
     def regressors(self, values: Mapping[str, NDArray[np.float64]]) -> NDArray[np.float64]:
@@ -103,14 +116,20 @@ class Relations:
             for name in self.relations
         }
 
-    def fit(self, blocks: Sequence[Log]) -> Self:
+    def fit(self, blocks: Sequence[Log], before: Sequence[Sequence[Stage]] = (), /) -> Self:
+        return self._fit(blocks, {})
+
+    def refit(self, blocks: Sequence[Log], /) -> Self:
+        return self._fit(blocks, {name: model.partition for name, model in self.models.items()})
+
+    def _fit(self, blocks: Sequence[Log], partitions: Mapping[str, Partition]) -> Self:
         parts = [columns(b) for b in blocks]
         values = {n: np.concatenate([p[n] for p in parts]) for n in parts[0]}
         weight = values.get(GATE, np.ones(len(values[self.map[0]])))
         learned: dict[str, NDArray[Any]] = {}
         for name, relation in self.relations.items():
             try:
-                model = relation.fit(values, weight)
+                model = relation.fit(values, weight, partitions.get(name))
             except LogError as error:
                 raise LogError(f"relation {name!r}: {error}") from None
             learned |= {f"{name}/{k}": v for k, v in model.to_arrays().items()}
@@ -150,18 +169,21 @@ class Relations:
 
     @property
     def adds(self) -> set[str]:
-        return {REGIME, IN_DOMAIN}.union(*({n, n + SD} for n in self.relations))
+        return {REGIME, NOVELTY, IN_DOMAIN}.union(*({n, n + SD} for n in self.relations))
 
     def start(self) -> None:
         return None
 
     def step(self, state: None, block: Log, /) -> tuple[None, Log]:
-        values = columns(block)
+        units = {c: r.unit for n, r in self.relations.items() for c in (n, n + SD) if r.unit}
+        return None, add_columns(block, self.compute(columns(block)), units)
+
+    def compute(self, values: Mapping[str, NDArray[np.float64]]) -> dict[str, NDArray[Any]]:
         added: dict[str, NDArray[Any]] = {}
         inputs = {name: relation.regressors(values) for name, relation in self.relations.items()}
         regime = self.models[self.regime]
         everywhere = regime.novelty(inputs[self.regime])
-        in_domain = np.ones(len(everywhere), dtype=bool)
+        largest = everywhere
         for name, S in inputs.items():
             model = self.models[name]
             novelty = np.maximum(model.novelty(S), everywhere)
@@ -169,7 +191,6 @@ class Relations:
             added[name + SD] = (
                 self.doubt * model.rms * np.sqrt(model.leverage(S)) * np.maximum(1.0, novelty) ** 2
             )
-            in_domain &= novelty <= 1
-        added |= {REGIME: regime.partition.assign(inputs[self.regime]), IN_DOMAIN: in_domain}
-        units = {c: r.unit for n, r in self.relations.items() for c in (n, n + SD) if r.unit}
-        return None, add_columns(block, added, units)
+            largest = np.maximum(largest, novelty)
+        unit = regime.partition.assign(inputs[self.regime])
+        return added | {REGIME: unit, NOVELTY: largest, IN_DOMAIN: largest <= 1}

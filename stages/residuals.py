@@ -24,7 +24,7 @@ from ingest.log import TIME, Log
 from stages.formula import Formula
 from stages.gate import GATE
 from stages.relations import REGIME, SD
-from stages.stage import ANALYSIS, Arrays, add_columns, columns
+from stages.stage import ANALYSIS, Arrays, Stage, add_columns, columns
 
 RESIDUAL, MODEL_SD, SIGMA, Z = "residual.", "model_sd.", "sigma.", "z."
 MIN_GATE = 1e-3
@@ -45,22 +45,30 @@ class Residuals:
     residuals: Mapping[str, str]
     units: Mapping[str, str] = field(default_factory=dict)
     floor: Mapping[str, float] = field(default_factory=dict)
+    trust: Mapping[str, str] = field(default_factory=dict)
     prior_samples: float = 50.0
     learned: Arrays = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         assert self.formulas is not None
+        assert self.trusts is not None
 
     @cached_property
     def formulas(self) -> dict[str, Formula]:
         return {name: Formula(text) for name, text in self.residuals.items()}
 
-    def fit(self, blocks: Sequence[Log]) -> Self:
+    @cached_property
+    def trusts(self) -> dict[str, Formula]:
+        return {name: Formula(text) for name, text in self.trust.items()}
+
+    def fit(self, blocks: Sequence[Log], before: Sequence[Sequence[Stage]] = (), /) -> Self:
         parts = [columns(b) for b in blocks]
         values = {n: np.concatenate([p[n] for p in parts]) for n in parts[0]}
-        regime, gate = values[REGIME], _gate(values)
-        M = int(np.nanmax(regime, initial=0)) + 1
-        sigma = [self._spread(name, f(values), regime, gate, M) for name, f in self.formulas.items()]
+        M = int(np.nanmax(values[REGIME], initial=0)) + 1
+        sigma = [
+            self._spread(name, f(values), values[REGIME], self._weight(name, values), M)
+            for name, f in self.formulas.items()
+        ]
         return replace(self, learned={"sigma": np.stack(sigma)})
 
     def _spread(
@@ -88,9 +96,12 @@ class Residuals:
         sigma = np.sqrt(np.append(variance, overall))
         return np.asarray(np.maximum(sigma, max(self.floor.get(name, 0.0), 1e-12)))
 
+    def refit(self, blocks: Sequence[Log], /) -> Self:
+        return self.fit(blocks)
+
     @property
     def needs(self) -> set[str]:
-        return {REGIME}.union(*(f.names for f in self.formulas.values()))
+        return {REGIME}.union(*(f.names for f in (*self.formulas.values(), *self.trusts.values())))
 
     @property
     def adds(self) -> set[str]:
@@ -100,24 +111,29 @@ class Residuals:
         return None
 
     def step(self, state: None, block: Log, /) -> tuple[None, Log]:
+        units = {k + r: self.units.get(r, "1") for r in self.residuals for k in (RESIDUAL, MODEL_SD, SIGMA)}
+        return None, add_columns(block, self.compute(columns(block)), units)
+
+    def compute(self, values: Mapping[str, NDArray[np.float64]]) -> dict[str, NDArray[Any]]:
         if not self.learned:
             raise RecipeError("residuals: nothing learned yet; fit it first")
-        values = columns(block)
         table = self.learned["sigma"]
         regime = np.nan_to_num(values[REGIME], nan=-1).astype(int)
         unit = np.where((regime < 0) | (regime >= table.shape[1] - 1), table.shape[1] - 1, regime)
-        widen = 1.0 / np.sqrt(_gate(values))
         added: dict[str, NDArray[Any]] = {}
-        units: dict[str, str] = {}
         for i, (name, formula) in enumerate(self.formulas.items()):
-            e = np.broadcast_to(formula(values), widen.shape)
+            e = np.broadcast_to(formula(values), unit.shape)
             doubt = _model_sd(formula, values, e)
-            sigma = np.hypot(table[i, unit] * widen, doubt)
+            sigma = np.hypot(table[i, unit] / np.sqrt(self._weight(name, values)), doubt)
             added |= {RESIDUAL + name: e, MODEL_SD + name: doubt, SIGMA + name: sigma, Z + name: e / sigma}
-            units |= dict.fromkeys(
-                (RESIDUAL + name, MODEL_SD + name, SIGMA + name), self.units.get(name, "1")
-            )
-        return None, add_columns(block, added, units)
+        return added
+
+    def _weight(self, name: str, values: Mapping[str, NDArray[np.float64]]) -> NDArray[np.float64]:
+        """Gate times trust, at least ``MIN_GATE``."""
+        weight = np.asarray(values.get(GATE, np.ones(values[TIME].shape)))
+        if name in self.trusts:
+            weight = weight * self.trusts[name](values)
+        return np.asarray(np.maximum(np.nan_to_num(weight, nan=MIN_GATE), MIN_GATE))
 
 
 def _model_sd(
@@ -134,8 +150,3 @@ def _model_sd(
 def residual_names(block: Log) -> list[str]:
     """The residuals that a block carries, in order."""
     return [n.removeprefix(RESIDUAL) for n in block.groups[ANALYSIS].signals if n.startswith(RESIDUAL)]
-
-
-def _gate(values: Mapping[str, NDArray[np.float64]]) -> NDArray[np.float64]:
-    gate = values.get(GATE, np.ones(values[TIME].shape))
-    return np.maximum(np.nan_to_num(gate, nan=MIN_GATE), MIN_GATE)

@@ -10,7 +10,11 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from ingest.log import Event, Log
+from ingest.log import Event, Group, Log
+
+# columns of the samples; those with a dot are prefixes of a fault's name
+DETECTION, EVIDENCE, PROBABILITY, UNKNOWN = "detection", "evidence.", "p.", "unknown"
+STATISTIC, SIZE, SIZE_SD = "statistic", "size.", "size_sd."
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,7 +79,8 @@ class Diagnosis:
 
     ``samples`` has one row per sample of the analysis raster: ``time``, ``regime``, ``in_domain``, per
     residual ``residual.<r> sigma.<r> z.<r>``, ``detection``, per hypothesis ``evidence.<f>`` and ``p.<f>``.
-    ``units`` gives the unit of each residual.
+    For a monitor's windows ``indicator.<i>`` stands in place of the residuals. ``units`` gives the unit of each.
+    ``signals``: the monitored signals at their own rate, with what a healthy sensor would have read.
     """
 
     log: Log
@@ -83,3 +88,4 @@ class Diagnosis:
     verdict: Verdict
     units: Mapping[str, str] = field(default_factory=dict)
     operating_map: OperatingMap | None = None
+    signals: Group | None = None

@@ -45,6 +45,14 @@ class Stage(Protocol):
 
 
 @runtime_checkable
+class RowWise(Stage, Protocol):
+    """A stage whose new columns at a row depend on that row only."""
+
+    def compute(self, values: Mapping[str, NDArray[np.float64]]) -> dict[str, NDArray[Any]]:
+        """The columns it adds, from the columns it needs."""
+
+
+@runtime_checkable
 class Learner(Stage, Protocol):
     """A stage that needs something learned from fault-free logs before it can step.
 
@@ -55,8 +63,27 @@ class Learner(Stage, Protocol):
     learns_from: ClassVar[Literal["training", "calibration"]]
     learned: Arrays
 
-    def fit(self, blocks: Sequence[Log]) -> Self:
-        """The same settings with ``learned`` filled, from whole logs that passed the stages before."""
+    def fit(self, blocks: Sequence[Log], before: Sequence[Sequence[Stage]], /) -> Self:
+        """The same settings with ``learned`` filled, from whole logs; block i has passed ``before[i]``."""
+
+    def refit(self, blocks: Sequence[Log], /) -> Self:
+        """Learned again from other blocks, of the same structure (for held-out predictions)."""
+
+
+@runtime_checkable
+class Connected(Stage, Protocol):
+    """A stage that asks the stages before it what they would say about other data."""
+
+    def connect(self, before: Sequence[Stage], /) -> Self:
+        """The same stage, knowing the stages before it."""
+
+
+def connected(stages: Sequence[Stage]) -> list[Stage]:
+    """The stages, each that asks for it connected to those before it."""
+    out: list[Stage] = []
+    for stage in stages:
+        out.append(stage.connect(out) if isinstance(stage, Connected) else stage)
+    return out
 
 
 def run_stages(stages: Sequence[Stage], blocks: Iterable[Log]) -> Iterator[Log]:

@@ -8,7 +8,7 @@ with the largest evidence reached.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -16,12 +16,10 @@ import polars as pl
 from numpy.typing import NDArray
 
 from ingest.log import TIME, Event, Log
-from stages.detect import DETECTION
 from stages.gate import GATE
-from stages.isolate import EVIDENCE, PROBABILITY, UNKNOWN
 from stages.relations import IN_DOMAIN
-from stages.residuals import RESIDUAL, SIGMA, Z
-from stages.results import Verdict
+from stages.residuals import SIGMA, Z
+from stages.results import DETECTION, EVIDENCE, PROBABILITY, SIZE, SIZE_SD, UNKNOWN, Magnitude, Verdict
 
 ONSET_BACK_S, ONSET_AFTER_S = 600.0, 30.0
 
@@ -29,11 +27,12 @@ ONSET_BACK_S, ONSET_AFTER_S = 600.0, 30.0
 @dataclass(frozen=True, kw_only=True)
 class Judge:
     """``min_evidence_s``: seconds of usable samples below which no alarm means nothing; ``channels``: the
-    sensor that a fault concerns, if one."""
+    sensor that a fault concerns, if one; ``units``: of faults' sizes."""
 
     min_evidence_s: float = 45.0
     merge_s: float = 10.0
-    channels: Mapping[str, str] | None = None
+    channels: Mapping[str, str] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
 
     def verdict(
         self,
@@ -69,6 +68,7 @@ class Judge:
             probability=probability,
             onset_s=event.t_start,
             detected_s=float(samples[TIME][episodes[chosen][0]]),
+            magnitude=self._magnitude(samples, event.kind, episodes[chosen][1]),
             events=tuple(events),
         )
 
@@ -97,10 +97,17 @@ class Judge:
             t_start=onset(samples, first),
             t_end=float(samples[TIME][last]) if ended else None,
             kind=fault,
-            channel=(self.channels or {}).get(fault),
+            channel=self.channels.get(fault),
             confidence=probability[fault],
             source="dynoscope",
         )
+
+    def _magnitude(self, samples: pl.DataFrame, fault: str, row: int) -> Magnitude | None:
+        """The fault's size at the end of its event, where the isolation estimates one."""
+        if SIZE + fault not in samples.columns:
+            return None
+        value, sd = samples[SIZE + fault][row], samples[SIZE_SD + fault][row]
+        return Magnitude(value=float(value), sd=sd, unit=self.units.get(fault, "1"))
 
     def _strength(self, samples: pl.DataFrame, first: int, last: int) -> float:
         names = [c for c in samples.columns if c.startswith(EVIDENCE) and c != EVIDENCE + UNKNOWN]
@@ -111,8 +118,8 @@ class Judge:
 def onset(samples: pl.DataFrame, first: int) -> float:
     """When the fault began that was detected at row ``first``, in s on the log's clock.
 
-    The change point k that maximises the likelihood of a shift of the residual means from row k on, ``sum_r
-    (sum_{i >= k} e_i / sigma_i^2)^2 / (2 sum_{i >= k} 1 / sigma_i^2)``, over the last 600 s before the
+    The change point k that maximises the likelihood of a shift of the means of residuals or indicators from row
+    k on, with e = z sigma their distance from the healthy value, ``sum_r (sum_{i >= k} e_i / sigma_i^2)^2 / (2 sum_{i >= k} 1 / sigma_i^2)``, over the last 600 s before the
     detection; samples up to 30 s after it count as evidence.
     """
     time = samples[TIME].to_numpy()
@@ -121,9 +128,10 @@ def onset(samples: pl.DataFrame, first: int) -> float:
     part = samples.slice(a, b - a)
     gain = np.zeros(first - a + 1)
     for c in samples.columns:
-        if not c.startswith(RESIDUAL):
+        if not c.startswith(Z):
             continue
-        e, sigma = _array(part, c), _array(part, SIGMA + c.removeprefix(RESIDUAL))
+        sigma = _array(part, SIGMA + c.removeprefix(Z))
+        e = _array(part, c) * sigma
         weight = np.where(np.isfinite(e), 1 / sigma**2, 0.0)
         S0 = np.cumsum(weight[::-1])[::-1]
         S1 = np.cumsum((weight * np.nan_to_num(e))[::-1])[::-1]
@@ -132,14 +140,15 @@ def onset(samples: pl.DataFrame, first: int) -> float:
 
 
 def usable_seconds(samples: pl.DataFrame) -> float:
-    """Seconds of samples that say something: every residual known, and at rest (gate at least 1/2)."""
+    """Seconds of samples that say something: every residual or indicator known, and at rest (gate at least
+    1/2)."""
     if samples.height < 2:
         return 0.0
     time = samples[TIME].to_numpy()
     step = np.minimum(np.diff(time, prepend=time[0]), 1.0)
     known = np.ones(samples.height, dtype=bool)
     for c in samples.columns:
-        if c.startswith(RESIDUAL):
+        if c.startswith(Z):
             known &= np.isfinite(_array(samples, c))
     if GATE in samples.columns:
         known &= _array(samples, GATE) >= 0.5
@@ -147,18 +156,22 @@ def usable_seconds(samples: pl.DataFrame) -> float:
 
 
 def residual_statistics(samples: pl.DataFrame) -> dict[str, dict[str, float | None]]:
-    """Per residual: mean, root mean square of z, share of samples beyond 3 sigma; and the share in domain."""
+    """Per residual or indicator: mean distance from the healthy value, root mean square of z, share of samples
+    beyond 3 sigma; and the share in domain, where there is one."""
     out: dict[str, dict[str, float | None]] = {}
     for c in samples.columns:
         if c.startswith(Z):
             z = _array(samples, c)
-            z, e = z[np.isfinite(z)], _array(samples, RESIDUAL + c.removeprefix(Z))
+            e = z * _array(samples, SIGMA + c.removeprefix(Z))
+            z = z[np.isfinite(z)]
             known = bool(z.size)
             out[c.removeprefix(Z)] = {
                 "mean": float(np.nanmean(e)) if known else None,
                 "z_rms": float(np.sqrt(np.mean(z**2))) if known else None,
                 "beyond_3_sigma": float(np.mean(np.abs(z) > 3)) if known else None,
             }
+    if IN_DOMAIN not in samples.columns:
+        return out
     in_domain = samples[IN_DOMAIN].mean() if samples.height else None
     return {**out, IN_DOMAIN: {"share": float(in_domain) if in_domain is not None else None}}  # type: ignore[arg-type]
 

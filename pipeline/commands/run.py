@@ -11,7 +11,10 @@ HELP = "diagnose logs: samples, verdict, annotated log and timeline for each, an
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("logs", nargs="+", metavar="LOG", help="files, folders, globs, @list.txt")
     parser.add_argument("--recipe", required=True, help="a built-in recipe or a path")
-    parser.add_argument("--store", required=True, type=Path, metavar="DIR", help="where detectors are kept")
+    parser.add_argument(
+        "--store", type=Path, metavar="DIR",
+        help="where detectors are kept; not needed by a recipe that can do without learning",
+    )  # fmt: skip
     parser.add_argument("--out", required=True, type=Path, metavar="DIR", help="where the results go")
     parser.add_argument("--detector", default="champion", metavar="KEY", help="default: the champion")
     parser.add_argument("--map", type=Path, help="TOML file that names and converts the logs' channels")
@@ -25,7 +28,7 @@ def run(args: argparse.Namespace) -> int:
     from ingest.maps import load_map
     from pipeline import batch
     from pipeline.console import Problems, print_json, progress, talk
-    from pipeline.detector import check_recipe
+    from pipeline.detector import check_recipe, unfitted_detector
     from pipeline.recipe import load_recipe
     from pipeline.store import Store
 
@@ -37,9 +40,9 @@ def run(args: argparse.Namespace) -> int:
         if args.map:
             load_map(args.map)
     with problems:
-        store = Store(args.store)
+        store = Store(args.store) if args.store else None
         if recipe_is_right:
-            detector = store.get(recipe.name, args.detector)
+            detector = store.get(recipe.name, args.detector) if store else unfitted_detector(recipe)
             check_recipe(detector, recipe)
     with problems:
         paths = find_logs(args.logs)

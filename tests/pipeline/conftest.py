@@ -30,8 +30,8 @@ def healthy() -> list[Log]:
 
 @pytest.fixture(scope="session")
 def faulty() -> Log:
-    """3 % too much boost pressure read from 133 s on."""
-    fault = Fault(name="boost_pressure_gain", magnitude=0.03)
+    """2 % too much boost pressure read from 133 s on."""
+    fault = Fault(name="boost_pressure_gain", magnitude=0.02)
     return simulate_airpath(cycle="udds", duration_s=400, seed=3, faults=[fault], name="faulty")
 
 

@@ -16,6 +16,7 @@ from pipeline.detector import Detector, check_recipe, load_detector, load_record
 from pipeline.digest import digest
 from pipeline.recipe import Recipe, build_recipe
 from stages.detect import Detect
+from stages.isolate import Isolate
 
 
 @pytest.fixture
@@ -143,8 +144,8 @@ def test_other_format(kept: Path, detector: Detector) -> None:
 
 
 def test_other_stage_version(kept: Path, detector: Detector, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Detect, "version", "next")
-    with pytest.raises(StoreError, match=r"another version of \d\.detect; fit it again"):
+    monkeypatch.setattr(Isolate, "version", "next")
+    with pytest.raises(StoreError, match=r"another version of \d+\.isolate; fit it again"):
         load_detector(kept, detector.key)
 
 

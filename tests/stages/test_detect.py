@@ -10,8 +10,9 @@ import pytest
 
 from ingest.errors import RecipeError
 from ingest.log import Group, Log
-from stages.detect import DETECTION, MEAN, MEAN_SD, STATISTIC, Detect, between_runs
+from stages.detect import MEAN, MEAN_SD, Detect, between_runs
 from stages.residuals import MODEL_SD, RESIDUAL, SIGMA
+from stages.results import DETECTION, STATISTIC
 from stages.stage import ANALYSIS, columns, transform
 
 DT, SIGMA_VALUE = 0.5, 0.1
@@ -35,8 +36,9 @@ def noise(seed: int, n: int = 2400) -> np.ndarray:
 
 
 def fitted(offset: float = 0.0, threshold: float = 4.0, **settings: object) -> Detect:
-    learned = {"offset": np.array([offset]), "threshold": np.array(threshold)}
-    return replace(Detect(**settings), learned=learned)  # type: ignore[arg-type]
+    stage = Detect(**settings)  # type: ignore[arg-type]
+    limits = np.full((len(stage.memories_s), 1), threshold)
+    return replace(stage, learned={"offset": np.array([offset]), "threshold": limits})
 
 
 def test_the_remembered_mean_and_its_spread_are_exponential_sums() -> None:
@@ -49,7 +51,7 @@ def test_the_remembered_mean_and_its_spread_are_exponential_sums() -> None:
     noise_part = (np.exp(-age / 30.0) * weight).sum() / weight.sum() ** 2
     assert out[MEAN + "r"][-1] == pytest.approx(weight @ e / weight.sum())
     assert out[MEAN_SD + "r"][-1] == pytest.approx(np.sqrt(noise_part + 0.02**2 + 0.03**2))
-    assert out[STATISTIC][-1] == pytest.approx(abs(out[MEAN + "r"][-1]) / out[MEAN_SD + "r"][-1])
+    assert 1e9 * out[STATISTIC][-1] == pytest.approx(abs(out[MEAN + "r"][-1]) / out[MEAN_SD + "r"][-1])
 
 
 def test_healthy_statistic_is_standard_normal() -> None:
@@ -63,7 +65,7 @@ def test_healthy_statistic_is_standard_normal() -> None:
 def test_evidence_does_not_depend_on_the_sampling_rate(dt: float) -> None:
     e = np.full(int(120 / dt), 0.05)
     out = columns(transform([fitted(threshold=1e9, memories_s=(30.0,))], residual_log(e, dt=dt)))
-    assert out[STATISTIC][-1] == pytest.approx(0.05 / SIGMA_VALUE * np.sqrt(2 * 30.0 / 2.0), rel=0.05)
+    assert 1e9 * out[STATISTIC][-1] == pytest.approx(0.05 / SIGMA_VALUE * np.sqrt(2 * 30.0 / 2.0), rel=0.05)
 
 
 def test_no_alarm_on_what_it_was_calibrated_for_and_few_on_fresh_drives() -> None:

@@ -1,0 +1,134 @@
+"""Hypotheses: what the log would read if a supposed fault of a supposed size were undone.
+
+A hypothesis says how to correct the columns for a fault of size ``theta``: ``W_HFM = "W_HFM / (1 + theta)"``
+for an air mass flow sensor that reads ``1 + theta`` times the truth. Residuals are then computed from the
+corrected columns. The right correction brings the data back to where the relations were trained, so neither
+they nor their domain are asked for more than they know.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ingest.errors import RecipeError
+from stages.formula import Formula
+from stages.relations import NOVELTY
+from stages.residuals import MODEL_SD, RESIDUAL, SIGMA
+from stages.stage import RowWise
+
+Array = NDArray[np.float64]
+THETA, ELAPSED = "theta", "elapsed"
+CHUNK = 1 << 17  # rows times hypotheses computed at once: bounds memory
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hypothesis:
+    """``undo`` maps a column to the formula that corrects it for size ``theta``; ``elapsed`` is s since the
+    log's start.
+
+    ``sizes``: the grid of sizes to try, in ``unit`` (``"1"``, ``"mm"``, ``"%"``); ``signal``: the sensor
+    concerned, if one.
+
+    Raises:
+        RecipeError: no correction or no sizes, sizes that do not rise or hold 0 (that is being healthy), or a
+            formula that cannot be read.
+    """
+
+    undo: Mapping[str, str]
+    sizes: tuple[float, ...]
+    unit: str = "1"
+    signal: str | None = None
+
+    def __post_init__(self) -> None:
+        s = self.sizes
+        if not self.undo or not s or 0.0 in s or any(b <= a for a, b in pairwise(s)):
+            raise RecipeError(
+                "a hypothesis needs `undo` and rising `sizes` without 0, "
+                f"got undo = {dict(self.undo)}, sizes = {list(s)}"
+            )
+        assert self.formulas is not None
+
+    @cached_property
+    def formulas(self) -> dict[str, Formula]:
+        return {name: Formula(text) for name, text in self.undo.items()}
+
+    @property
+    def needs(self) -> set[str]:
+        return {*self.undo}.union(*(f.names for f in self.formulas.values())) - {THETA, ELAPSED}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Drift:
+    """A change that healthy systems show too, such as a cold sensor: ``undo`` as in :class:`Hypothesis`, with
+    ``theta ~ N(0, sd^2)``."""
+
+    undo: Mapping[str, str]
+    sd: float
+
+    def hypothesis(self) -> Hypothesis:
+        """The drift on a grid of -2 to 2 standard deviations."""
+        return Hypothesis(undo=self.undo, sizes=tuple(self.sd * x for x in DRIFT_GRID))
+
+
+DRIFT_GRID = (-2.0, -1.0, 1.0, 2.0)  # standard deviations, and the probability of being nearest to each
+DRIFT_PRIOR = (0.0668, 0.2417, 0.2417, 0.0668)
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """All (hypothesis, size) pairs to evaluate, the first being the log as it is."""
+
+    hypotheses: Sequence[Hypothesis]
+    chain: Sequence[RowWise]
+    residuals: Sequence[str]
+
+    @property
+    def count(self) -> int:
+        return 1 + sum(len(h.sizes) for h in self.hypotheses)
+
+    @cached_property
+    def needs(self) -> set[str]:
+        """Columns that the chain and the corrections read and the chain does not make."""
+        needed, made = set[str](), set[str]()
+        for stage in self.chain:
+            needed |= stage.needs - made
+            made |= stage.adds
+        return needed.union(*(h.needs for h in self.hypotheses))
+
+    def evaluate(self, values: Mapping[str, Array], elapsed: Array) -> tuple[Array, Array, Array, Array]:
+        """Residuals, their spreads and the doubts of their relations, each (rows, points, residuals); and the
+        least novelty that any point gives a row, shape (rows,)."""
+        n, H, R = len(elapsed), self.count, len(self.residuals)
+        out = {kind: np.empty((n, H, R)) for kind in (RESIDUAL, SIGMA, MODEL_SD)}
+        novelty = np.empty(n)
+        step = max(1, CHUNK // H)
+        for k in range(0, n, step):
+            rows = slice(k, k + step)
+            computed = self._computed({c: x[rows] for c, x in values.items()}, elapsed[rows])
+            for i, r in enumerate(self.residuals):
+                for kind, array in out.items():
+                    array[rows, :, i] = computed[kind + r].reshape(H, -1).T
+            novelty[rows] = np.nan_to_num(computed[NOVELTY].reshape(H, -1), nan=np.inf).min(axis=0)
+        return out[RESIDUAL], out[SIGMA], out[MODEL_SD], novelty
+
+    def _computed(self, values: Mapping[str, Array], elapsed: Array) -> dict[str, Array]:
+        """The chain's columns for the points one after the other, shape (points * rows,)."""
+        n = len(elapsed)
+        stacked = {c: np.tile(x, self.count) for c, x in values.items()}
+        start = n
+        for h in self.hypotheses:
+            rows = slice(start, start + n * len(h.sizes))
+            scope = {c: x[rows].copy() for c, x in stacked.items()}
+            scope[THETA], scope[ELAPSED] = np.repeat(h.sizes, n), np.tile(elapsed, len(h.sizes))
+            for column, formula in h.formulas.items():
+                stacked[column][rows] = formula(scope)
+            start = rows.stop
+        for stage in self.chain:
+            stacked |= stage.compute(stacked)
+        return stacked

@@ -1,0 +1,86 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import polars as pl
+import pytest
+
+from ingest.errors import RecipeError
+from ingest.log import Group, Log
+from stages.hypotheses import DRIFT_PRIOR, Drift, Hypothesis, Points
+from stages.normalise import Normalise
+from stages.regressors import Regressors
+from stages.relations import Relation, Relations
+from stages.residuals import Residuals
+from stages.stage import ANALYSIS, RowWise, transform
+
+
+def system(n: int = 800) -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(0)
+    a = rng.uniform(1, 2, n)
+    return {"time": np.arange(n) / 2, "a": a, "y": 2 * a + 1 + rng.normal(0, 0.01, n)}
+
+
+@pytest.fixture(scope="module")
+def chain() -> list[RowWise]:
+    block = Log("x", {ANALYSIS: Group(ANALYSIS, pl.DataFrame(system()))})
+    out: list[RowWise] = []
+    for stage in (
+        Regressors(columns={"half": "y / 2"}),
+        Normalise(columns=("a",)),
+        Relations(
+            relations={"f": Relation(output="half", inputs=("a",), nodes=3)}, regime="f", map=("a", "y")
+        ),
+        Residuals(residuals={"r": "half - f"}),
+    ):
+        ready = stage.fit([block]) if hasattr(stage, "fit") else stage
+        out.append(ready)
+        block = transform([ready], block)
+    return out
+
+
+def test_undoing_the_right_size_brings_the_residual_back(chain: list[RowWise]) -> None:
+    values = system()
+    values["y"] = values["y"] * 1.1
+    gain = Hypothesis(undo={"y": "y / (1 + theta)"}, sizes=(0.05, 0.1, 0.2))
+    points = Points([gain], chain, ["r"])
+    assert points.needs == {"a", "y", "time"} - {"time"}
+    e, sigma, doubt, novelty = points.evaluate(values, np.zeros(800))
+    assert e.shape == sigma.shape == doubt.shape == (800, 4, 1)
+    error = np.abs(e[:, :, 0]).mean(axis=0)
+    assert error.argmin() == 2
+    assert error[2] < 0.01 < error[1]
+    assert (novelty <= 1).mean() > 0.98
+
+
+def test_chunks_do_not_matter_and_nothing_is_changed(
+    chain: list[RowWise], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    values = system()
+    copy = {k: v.copy() for k, v in values.items()}
+    drift = Drift(undo={"y": "y / (1 + theta * exp(-elapsed / 30))"}, sd=0.03).hypothesis()
+    points = Points([drift], chain, ["r"])
+    whole = points.evaluate(values, values["time"])
+    monkeypatch.setattr("stages.hypotheses.CHUNK", 37)
+    for one, two in zip(whole, points.evaluate(values, values["time"]), strict=True):
+        np.testing.assert_allclose(one, two, rtol=1e-9, atol=1e-12)
+    assert all((values[k] == copy[k]).all() for k in copy)
+
+
+def test_a_drift_fades_with_time(chain: list[RowWise]) -> None:
+    drift = Drift(undo={"y": "y / (1 + theta * exp(-elapsed / 30))"}, sd=0.03).hypothesis()
+    e = Points([drift], chain, ["r"]).evaluate(system(), system()["time"])[0][:, :, 0]
+    apart = np.abs(e[:, 1] - e[:, 0])
+    assert apart[:20].mean() > 0.05
+    assert apart[-20:].mean() < 1e-4
+    assert 0 < 1 - sum(DRIFT_PRIOR) < 1
+
+
+def test_mistakes() -> None:
+    good = Hypothesis(undo={"y": "y - theta"}, sizes=(1.0, 2.0))
+    for wrong in ({"sizes": ()}, {"sizes": (2.0, 1.0)}, {"sizes": (0.0, 1.0)}, {"undo": {}}):
+        with pytest.raises(RecipeError, match="rising `sizes` without 0"):
+            replace(good, **wrong)  # type: ignore[arg-type]
+    with pytest.raises(RecipeError, match="unknown function"):
+        replace(good, undo={"y": "leek_flow(theta)"})
