@@ -194,10 +194,11 @@ class Layout:
             if parted is None:
                 return None
             matrix, texts = parted
-        if ((matrix ^ template) & constant).any():
+        fixed = np.flatnonzero(constant)
+        if (matrix[:, fixed] != template[fixed]).any():
             return None
         rows = matrix.reshape(-1).view(dtype)
-        return {f: texts[f] if f in texts else rows[f".{f}"] for f in self.fields}
+        return {f: texts[f] if f in texts else rows[f".{f}"].copy() for f in self.fields}
 
     def rows(self, rows: Sequence[Mapping[str, Any]]) -> dict[str, Column]:
         """Decoded messages as columns of the fields; what a message leaves out is null."""
