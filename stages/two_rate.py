@@ -43,13 +43,17 @@ class TwoRate:
         """Samples that a window needs."""
         return self.decimation * (4 * self.horizon) + self._low_pass.size
 
+    def decimated(self, u: Array, y: Array) -> tuple[Array, Array]:
+        """y and u behind the low-pass filter at the low rate, shape (N, 1) each."""
+        windows = np.lib.stride_tricks.sliding_window_view(np.stack([y, u]), self._low_pass.size, axis=1)
+        slow = windows[:, :: self.decimation] @ self._low_pass
+        return slow[:1].T, slow[1:].T
+
     def plant(self, structure: Structure, u: Array, y: Array) -> tuple[float, Array, float] | None:
         """b, (a_1 ... a_n) and the fastest pole in 1/s; None where no stable plant with positive b is
         found."""
-        windows = np.lib.stride_tricks.sliding_window_view(np.stack([y, u]), self._low_pass.size, axis=1)
-        slow = windows[:, :: self.decimation] @ self._low_pass
         try:
-            gram = lag_gram(slow[:1].T, slow[1:].T, self.horizon)
+            gram = lag_gram(*self.decimated(u, y), self.horizon)
             model = identify(gram, structure.dt * self.decimation, order=structure.plant_order).model
         except (LogError, np.linalg.LinAlgError):  # signals at rest
             return None

@@ -10,6 +10,7 @@ import rerun.blueprint as rrb
 
 from stages.results import OperatingMap
 from viz.lanes import FAULT_LANES, REGIME
+from viz.monitoring import ERRORS, POLES, READINGS, Monitored
 from viz.operating_map import HEIGHT, MAP, SOM, TRAIL_S, WIDTH
 from viz.residuals import Residual
 from viz.send import TIMELINE
@@ -59,6 +60,7 @@ def run_layout(
     lanes: Sequence[str],
     *,
     plane: OperatingMap | None,
+    monitored: Monitored | None,
     span: tuple[float, float],
 ) -> rrb.Blueprint:
     """A run: one tab per question."""
@@ -67,6 +69,7 @@ def run_layout(
         *signal_tabs(contents),
         _residuals(residuals, lanes),
         *([_regimes(plane)] if plane else []),
+        *([_sensor(monitored, lanes)] if monitored else []),
         _evidence(lanes),
     ]
     return _blueprint(tabs, span)
@@ -157,6 +160,31 @@ def _evidence(lanes: Sequence[str]) -> rrb.Container:
         row_shares=_shares([1.0, 1.0], shown),
         name="Evidence",
     )
+
+
+def _sensor(monitored: Monitored, lanes: Sequence[str]) -> rrb.Container:
+    shown = [lane for lane in lanes if lane in FAULT_LANES]
+    plots = [
+        _plot(title, [path], range_)
+        for path, drawn in ((READINGS, monitored.readings), (ERRORS, monitored.errors))
+        if drawn
+        for title, range_ in [drawn]
+    ]
+    parts: list[Any] = []
+    if plots:
+        shares = _shares([1.0] * len(plots), shown)
+        parts.append(rrb.Vertical(*plots, *_lane_view(FAULTS, shown), row_shares=shares))
+    if monitored.poles:
+        x, y = monitored.poles
+        parts.append(
+            rrb.Spatial2DView(
+                origin=POLES,
+                name="Poles of plant and sensor · distance in decades · dark to bright: time · white: cursor",
+                background=rrb.Background(color=BACKGROUND),
+                visual_bounds=rrb.VisualBounds2D(x_range=list(x), y_range=list(y)),
+            )
+        )
+    return rrb.Horizontal(*parts, column_shares=[3, 2][: len(parts)], name="Sensor")
 
 
 def _map_view() -> rrb.Spatial2DView:

@@ -18,6 +18,7 @@ from viz import send
 from viz.evidence import log_evidence
 from viz.lanes import log_event_lanes, log_lanes
 from viz.layout import log_layout, run_layout
+from viz.monitoring import log_monitoring
 from viz.operating_map import log_operating_map
 from viz.residuals import log_residuals
 from viz.signals import log_signals
@@ -49,12 +50,13 @@ def log_diagnosis(rec: rr.RecordingStream, diagnosis: Diagnosis) -> None:
     residuals = log_residuals(rec, diagnosis)
     lanes = log_lanes(rec, diagnosis)
     log_evidence(rec, diagnosis)
+    monitored = log_monitoring(rec, diagnosis)
     send.markdown(rec, "/summary", summary(diagnosis, contents.remarks))
     plane = diagnosis.operating_map
     if plane is not None:
         log_operating_map(rec, diagnosis, plane)
         send.markdown(rec, "/regimes", regime_table(diagnosis))
-    layout = run_layout(contents, residuals, lanes, plane=plane, span=span)
+    layout = run_layout(contents, residuals, lanes, plane=plane, monitored=monitored, span=span)
     rec.send_blueprint(layout, make_active=True, make_default=True)
 
 
