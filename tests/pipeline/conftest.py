@@ -30,8 +30,8 @@ def healthy() -> list[Log]:
 
 @pytest.fixture(scope="session")
 def faulty() -> Log:
-    """2 % too much boost pressure read from 133 s on."""
-    fault = Fault(name="boost_pressure_gain", magnitude=0.02)
+    """8 % too little air mass flow read from 133 s on."""
+    fault = Fault(name="maf_gain", magnitude=-0.08)
     return simulate_airpath(cycle="udds", duration_s=400, seed=3, faults=[fault], name="faulty")
 
 

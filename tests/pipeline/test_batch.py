@@ -56,8 +56,8 @@ def test_summary(done: Path, detector: Detector) -> None:
     faulty, healthy = summary.to_dicts()
     assert (faulty["log"], faulty["status"], faulty["reason"]) == ("faulty", "ok", None)
     assert (faulty["fault"], faulty["signal"], faulty["truth"]) == (
-        "boost_pressure_gain",
-        "p_Bst",
+        "maf_gain",
+        "W_HFM",
         faulty["fault"],
     )
     assert (faulty["recipe"], faulty["detector"]) == ("diesel_airpath", detector.key)
@@ -107,7 +107,7 @@ def test_one_bad_log_does_not_stop_the_rest(logs: Path, detector: Detector, tmp_
     assert bad["reason"].startswith("bad.parquet")
     assert nowhere["reason"] == "nowhere.mcap: there is no such file"
     assert "has no signal 'p_" in other["reason"]
-    assert ok["fault"] == "boost_pressure_gain"
+    assert ok["fault"] == "maf_gain"
     assert {p.name for p in (tmp_path / "out").iterdir()} == {"faulty", "summary.csv", "summary.parquet"}
 
 
@@ -194,7 +194,7 @@ def test_two_logs_of_one_stem(logs: Path, healthy: list[Log], detector: Detector
     names = summary["log"].to_list()
     assert all(name.startswith("faulty-") and len(name) == len("faulty-") + 8 for name in names)
     assert len(set(names)) == 2
-    assert summary["fault"].to_list() == ["boost_pressure_gain", "none"]
+    assert summary["fault"].to_list() == ["maf_gain", "none"]
     assert json.loads((tmp_path / "out" / names[0] / "verdict.json").read_text())["log"] == names[0]
 
 

@@ -84,7 +84,7 @@ def test_run_prints_the_verdicts(
     assert status == 0
     table = {line.split()[0]: line.split()[2] for line in out.splitlines()}
     assert table == {
-        "log": "fault", "faulty": "boost_pressure_gain", "healthy1": "none", "healthy2": "none",
+        "log": "fault", "faulty": "maf_gain", "healthy1": "none", "healthy2": "none",
     }  # fmt: skip
     assert "[3/3] healthy2: none" in err
     short = detector.key[:10]
@@ -93,7 +93,7 @@ def test_run_prints_the_verdicts(
     )
     rows = json.loads(out)
     assert status == 0
-    assert [r["fault"] for r in rows] == ["boost_pressure_gain", "none", "none"]
+    assert [r["fault"] for r in rows] == ["maf_gain", "none", "none"]
     assert rows == pl.read_parquet(tmp_path / "out" / "summary.parquet").to_dicts()
 
 

@@ -45,7 +45,7 @@ def test_round_trip_gives_the_same_diagnosis_to_the_bit(detector: Detector, faul
     one, two = diagnose(faulty, detector), diagnose(faulty, again)
     assert one.samples.equals(two.samples, null_equal=True)
     assert one.verdict == two.verdict
-    assert one.verdict.fault == "boost_pressure_gain"
+    assert one.verdict.fault == "maf_gain"
 
 
 def test_key_depends_on_what_was_learned_and_from_what(

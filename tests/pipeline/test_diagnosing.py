@@ -51,8 +51,8 @@ def test_verdict_carries_what_was_given(whole: Diagnosis, detector: Detector) ->
     verdict = whole.verdict
     assert (verdict.log, verdict.recipe, verdict.detector) == ("faulty", "diesel_airpath", detector.key)
     assert verdict.quality == {"W_HFM": {"gaps": 0}}
-    assert verdict.signal == "p_Bst"
-    assert verdict.statistics["truth"] == ["boost_pressure_gain"]
+    assert verdict.signal == "W_HFM"
+    assert verdict.statistics["truth"] == ["maf_gain"]
 
 
 def test_every_residual_has_a_unit(whole: Diagnosis) -> None:

@@ -39,7 +39,7 @@ def test_both_are_quiet_on_healthy_drives_and_see_the_fault(
     for fitted in (held_out, detector):
         assert [diagnose(log, fitted).verdict.fault for log in healthy] == ["none", "none"]
         verdict = diagnose(faulty, fitted).verdict
-        assert verdict.fault == "boost_pressure_gain"
+        assert verdict.fault == "maf_gain"
         assert verdict.detected_s is not None
         assert 133.0 < verdict.detected_s < 160.0
 

@@ -88,7 +88,7 @@ def test_verdict(folder: Path, detector: Detector) -> None:
         "diesel_airpath",
         detector.key,
     )
-    assert (verdict["fault"], verdict["signal"]) == ("boost_pressure_gain", "p_Bst")
+    assert (verdict["fault"], verdict["signal"]) == ("maf_gain", "W_HFM")
     assert verdict["set"] == [f for f in verdict["set"] if verdict["probability"][f] > 0.05]
     assert {f for f, p in verdict["probability"].items() if p > 0.05} == set(verdict["set"])
     assert sum(verdict["probability"].values()) == pytest.approx(1.0, abs=1e-4)
@@ -108,7 +108,7 @@ def test_annotated_log_reads_back(folder: Path, diagnosis: Diagnosis, faulty: Lo
         assert log.group_of(column).frame[column].equals(samples[column], null_equal=True), column
     assert log.signals["residual.r_dp"].unit == log.signals["sigma.r_dp"].unit == "kPa"
     assert log.signals["regime"].resample == "hold"
-    assert [e.kind for e in log.events if e.source == "truth"] == ["boost_pressure_gain"]
+    assert [e.kind for e in log.events if e.source == "truth"] == ["maf_gain"]
     assert tuple(e for e in log.events if e.source == "dynoscope") == diagnosis.verdict.events
 
 
