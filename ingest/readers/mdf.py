@@ -75,6 +75,8 @@ def blocks(path: Path, names: NameMap, size: int | None = BLOCK_BYTES) -> Iterat
     with _opened(path, ranges=ranges) as file:
         found = _Mdf(path, file)
         number = max(1, -(-found.bytes // size)) if size and ranges else 1
+        for index in found.members.values() if ranges else ():
+            cut_blocks(file.groups[index])
         rows = [-(-n // number) for n in found.counts]
         part = None
         for i in range(number):
@@ -138,8 +140,6 @@ class _Mdf:
         self.counts = [int(file.groups[i].channel_group.cycles_nr) for i in self.members.values()]
         widths = [file.groups[i].channel_group.samples_byte_nr for i in self.members.values()]
         self.bytes = sum(n * w for n, w in zip(self.counts, widths, strict=True))
-        for index in self.members.values():
-            cut_blocks(file.groups[index])
         for count, index in zip(self.counts, self.members.values(), strict=True):
             check_declared(path, count, len(file.groups[index].channels))
         self.got = dict.fromkeys(self.members, 0)
