@@ -105,7 +105,9 @@ class Group:
             raise LogError(f"group {self.name!r} has no {TIME!r} column; it has {frame.columns}")
         order = [TIME, *(c for c in frame.columns if c != TIME)]
         floats = [c for c in order[1:] if frame.schema[c].is_float()]
-        frame = frame.select(order).with_columns(pl.col(TIME).cast(pl.Float64), *(_missing(c) for c in floats))
+        frame = frame.select(order).with_columns(
+            pl.col(TIME).cast(pl.Float64), *(_missing(c) for c in floats)
+        )
         bad = frame[TIME].is_null() | frame[TIME].is_nan()
         if bad.any():
             raise LogError(f"group {self.name!r}: {int(bad.sum())} of {frame.height} time stamps are missing")
@@ -153,8 +155,8 @@ class Log:
             for name in group.signals:
                 if name in seen:
                     raise LogError(
-                        f"log {self.name!r}: signal {name!r} is in group {seen[name]!r} and in {group.name!r}; "
-                        "rename one of them"
+                        f"log {self.name!r}: signal {name!r} is in group {seen[name]!r} "
+                        f"and in {group.name!r}; rename one of them"
                     )
                 seen[name] = group.name
 

@@ -79,8 +79,8 @@ class Diagnosis:
 
     ``samples`` has one row per sample of the analysis raster: ``time``, ``regime``, ``in_domain``, per
     residual ``residual.<r> sigma.<r> z.<r>``, ``detection``, per hypothesis ``evidence.<f>`` and ``p.<f>``.
-    For a monitor's windows ``indicator.<i>`` stands in place of the residuals. ``units`` gives the unit of each.
-    ``signals``: the monitored signals at their own rate, with what a healthy sensor would have read.
+    For a monitor's windows ``indicator.<i>`` stands in place of the residuals. ``units`` gives the unit of
+    each. ``signals``: the monitored signals at their own rate, with what a healthy sensor would have read.
     """
 
     log: Log

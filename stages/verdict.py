@@ -118,9 +118,10 @@ class Judge:
 def onset(samples: pl.DataFrame, first: int) -> float:
     """When the fault began that was detected at row ``first``, in s on the log's clock.
 
-    The change point k that maximises the likelihood of a shift of the means of residuals or indicators from row
-    k on, with e = z sigma their distance from the healthy value, ``sum_r (sum_{i >= k} e_i / sigma_i^2)^2 / (2 sum_{i >= k} 1 / sigma_i^2)``, over the last 600 s before the
-    detection; samples up to 30 s after it count as evidence.
+    The change point k that maximises the likelihood of a shift of the means of residuals or indicators from
+    row k on, with e = z sigma their distance from the healthy value, ``sum_r (sum_{i >= k} e_i / sigma_i^2)^2
+    / (2 sum_{i >= k} 1 / sigma_i^2)``, over the last 600 s before the detection; samples up to 30 s after it
+    count as evidence.
     """
     time = samples[TIME].to_numpy()
     a = int(np.searchsorted(time, time[first] - ONSET_BACK_S))
@@ -145,7 +146,8 @@ def usable_seconds(samples: pl.DataFrame) -> float:
     if samples.height < 2:
         return 0.0
     time = samples[TIME].to_numpy()
-    step = np.minimum(np.diff(time, prepend=time[0]), 1.0)
+    step = np.diff(time, prepend=time[0])
+    step = np.minimum(step, max(1.0, 1.5 * float(np.median(step))))  # a gap says nothing
     known = np.ones(samples.height, dtype=bool)
     for c in samples.columns:
         if c.startswith(Z):
@@ -156,8 +158,8 @@ def usable_seconds(samples: pl.DataFrame) -> float:
 
 
 def residual_statistics(samples: pl.DataFrame) -> dict[str, dict[str, float | None]]:
-    """Per residual or indicator: mean distance from the healthy value, root mean square of z, share of samples
-    beyond 3 sigma; and the share in domain, where there is one."""
+    """Per residual or indicator: mean distance from the healthy value, root mean square of z, share of
+    samples beyond 3 sigma; and the share in domain, where there is one."""
     out: dict[str, dict[str, float | None]] = {}
     for c in samples.columns:
         if c.startswith(Z):

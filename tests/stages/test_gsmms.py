@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 from ingest.errors import LogError
-from stages.gsmms import Gsmms, fit_gsmms
+from stages.gsmms import Combination, Gsmms, fit_gsmms
 from stages.partition import Growth
+
+COMBINATIONS: tuple[Combination, ...] = ("hard", "blended")
 
 
 def sample(n: int, seed: int, noise: float = 0.05) -> tuple[np.ndarray, np.ndarray]:
@@ -63,8 +65,8 @@ def test_an_affine_system_is_found_exactly_and_extrapolated() -> None:
 def test_blending_beats_hard_regions_and_both_beat_one_plane() -> None:
     (S, y), (fresh, truth) = sample(4000, 0), sample(4000, 1, noise=0.0)
     error = {
-        c: rms(fit_gsmms(S, y, growth=Growth(nodes=12), combination=c).predict(fresh) - truth)  # type: ignore[arg-type]
-        for c in ("hard", "blended")
+        c: rms(fit_gsmms(S, y, growth=Growth(nodes=12), combination=c).predict(fresh) - truth)
+        for c in COMBINATIONS
     }
     plane = rms(fit_gsmms(S, y, growth=Growth(nodes=1)).predict(fresh) - truth)
     assert error["blended"] < 0.5 * error["hard"] < 0.25 * plane

@@ -79,8 +79,10 @@ def test_a_drift_fades_with_time(chain: list[RowWise]) -> None:
 
 def test_mistakes() -> None:
     good = Hypothesis(undo={"y": "y - theta"}, sizes=(1.0, 2.0))
-    for wrong in ({"sizes": ()}, {"sizes": (2.0, 1.0)}, {"sizes": (0.0, 1.0)}, {"undo": {}}):
+    for sizes in ((), (2.0, 1.0), (0.0, 1.0)):
         with pytest.raises(RecipeError, match="rising `sizes` without 0"):
-            replace(good, **wrong)  # type: ignore[arg-type]
+            replace(good, sizes=sizes)
+    with pytest.raises(RecipeError, match="needs `undo`"):
+        replace(good, undo={})
     with pytest.raises(RecipeError, match="unknown function"):
         replace(good, undo={"y": "leek_flow(theta)"})

@@ -44,7 +44,8 @@ STAGES: tuple[Stage, ...] = (
 def drive(
     seed: int, *, flow: float = 0.0, pressure: float = 0.0, leak: float = 0.0, at: float = 200.0
 ) -> Log:
-    """An engine whose air flow is ``0.4 p n`` (a little less at high speed), fuelled for it; 600 s at 2 Hz."""
+    """An engine whose air flow is ``0.4 p n`` (a little less at high speed), fuelled for it; 600 s at 2
+    Hz."""
     rng = np.random.default_rng(seed)
     t = np.arange(0, 600, 0.5)
     p = 1.5 + 0.5 * np.sin(2 * np.pi * t / 61 + rng.uniform(0, 6))
@@ -132,7 +133,8 @@ def test_the_alarm_ends_with_the_fault(fitted: list[Stage]) -> None:
 
 
 def test_where_nobody_has_been_nothing_is_said(fitted: list[Stage]) -> None:
-    """Twice the trained speed, and a flow that no healthy engine shows: no hypothesis leads back from there."""
+    """Twice the trained speed, and a flow that no healthy engine shows: no hypothesis leads back from
+    there."""
     log = drive(10, flow=0.3, at=0.0)
     frame = log.groups[ANALYSIS].frame.with_columns(pl.col("n") + 4.0)
     assert samples(fitted, Log("x", {ANALYSIS: Group(ANALYSIS, frame)}))["detection"].sum() == 0

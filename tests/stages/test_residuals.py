@@ -8,7 +8,7 @@ from ingest.errors import LogError
 from ingest.log import Group, Log
 from stages.gate import GATE
 from stages.residuals import Residuals
-from stages.stage import ANALYSIS, columns, transform
+from stages.stage import ANALYSIS, add_columns, columns, transform
 
 
 def block(n: int = 20_000, **more: np.ndarray) -> Log:
@@ -48,12 +48,12 @@ def test_outliers_do_not_widen_it_and_the_floor_holds() -> None:
 
 def test_a_regime_never_met_has_the_overall_spread() -> None:
     stage = Residuals(residuals={"r": "y - f"}).fit([block()])
-    out = columns(transform([stage], block(regime=np.full(20_000, 9), **{GATE: np.ones(20_000)})))
+    out = columns(transform([stage], block(regime=np.full(20_000, 9), gate=np.ones(20_000))))
     assert 0.2 < out["sigma.r"][0] < 0.3
 
 
 def test_doubts_of_relations_are_inherited() -> None:
-    log = block(**{"f.sd": np.full(20_000, 0.3)})
+    log = add_columns(block(), {"f.sd": np.full(20_000, 0.3)})
     stage = Residuals(residuals={"r": "y - f", "q": "ln(f)", "s": "2 * y"}).fit([log])
     out = columns(transform([stage], log))
     np.testing.assert_allclose(out["model_sd.r"], 0.3)

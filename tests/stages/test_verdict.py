@@ -5,6 +5,7 @@ import polars as pl
 import pytest
 
 from ingest.log import Event, Group, Log
+from stages.results import Verdict
 from stages.verdict import Judge, onset
 
 RATE = 0.5
@@ -36,11 +37,11 @@ def samples(
     )
 
 
-def verdict_of(frame: pl.DataFrame, **settings: float):  # type: ignore[no-untyped-def]
+def verdict_of(frame: pl.DataFrame, *, min_evidence_s: float = 45.0) -> Verdict:
     log = Log(
         "x", {"a": Group("a", frame.select("time"))}, (Event(t_start=1.0, kind="leak", source="truth"),)
     )
-    judge = Judge(channels={"gain": "W_HFM"}, **settings)
+    judge = Judge(channels={"gain": "W_HFM"}, min_evidence_s=min_evidence_s)
     return judge.verdict(log, frame, recipe="r", detector="k", quality={})
 
 
