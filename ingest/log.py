@@ -104,7 +104,8 @@ class Group:
         if TIME not in frame.columns:
             raise LogError(f"group {self.name!r} has no {TIME!r} column; it has {frame.columns}")
         order = [TIME, *(c for c in frame.columns if c != TIME)]
-        floats = [c for c in order[1:] if frame.schema[c].is_float()]
+        schema = frame.schema
+        floats = [c for c in order[1:] if schema[c].is_float()]
         frame = frame.select(order).with_columns(
             pl.col(TIME).cast(pl.Float64), *(_missing(c) for c in floats)
         )

@@ -76,7 +76,7 @@ def run(
 
 def _run_one(path: Path, name: str, detector: Detector, folder: Path, options: Options) -> dict[str, Any]:
     from ingest import read_log
-    from ingest.report import quality
+    from ingest.report import quality, with_quality
 
     began = time.perf_counter()
     if not path.is_file():
@@ -88,6 +88,7 @@ def _run_one(path: Path, name: str, detector: Detector, folder: Path, options: O
         return row
     log = read_log(path, options.name_map)
     log = replace(log, name=name, facts={**log.facts, "sha256": sha256, "path": str(path)})
+    log = with_quality(log)
     diagnosis = diagnose(log, detector, quality=quality(log))
     times: dict[str, float | str] = {
         "started": datetime.now(UTC).isoformat(timespec="seconds"),

@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 EstimatorName = Literal["innovations", "printed"]
 TRIED_COLOUR = 0.8
 CLEAR = 40.0  # of minus twice the log-likelihood: coloured noise must earn its two parameters
+SPLIT_SD = 0.3  # how well the trends divide a drift of b, as a share of it
 FIRST_SD = 0.2  # the most that an indicator's logarithm may be in doubt for a first window to be a start
 
 
@@ -124,9 +125,12 @@ class Innovations:
         if memory is None:
             return self.structure
         (product, product_v), (gain, gain_v) = memory.product.slope, memory.gain.slope
-        sd = np.sqrt(self.structure.input_drift_sd**2 + product_v + gain_v)
+        doubt = self.structure.input_drift_sd**2 + product_v + gain_v + (SPLIT_SD * product) ** 2
         return replace(
-            self.structure, colour=memory.colour, input_drift=product - gain, input_drift_sd=float(sd)
+            self.structure,
+            colour=memory.colour,
+            input_drift=product - gain,
+            input_drift_sd=float(np.sqrt(doubt)),
         )
 
     def _plausible(self, x: Array, covariance: Array, memory: Memory | None) -> bool:

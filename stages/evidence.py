@@ -14,9 +14,11 @@ Residuals add up. There are at most two shapes for a residual. What a relation i
 is shared by neighbouring samples too, so its remembered mean square ``D / A11`` is added to the first
 ``s^2``.
 
-A spike must not decide. Before it is added, e is held within ``clip`` spreads of its own mean over the short
-memory: clipping e itself would hide the scatter of a large offset, and make wrong hypotheses look better than
-right ones.
+A spike must not decide. Before it is added, an e beyond ``clip`` spreads is held within as many of its own
+mean over a short memory: clipping e itself would hide the scatter of a large offset, and make wrong
+hypotheses look better than right ones.
+
+All compiled code is in this one file: the compiler's cache does not see changes in another.
 """
 
 from __future__ import annotations
@@ -31,12 +33,14 @@ SUMS = 7  # A11, A12, A22, b1, b2, q, D
 
 @njit(cache=True)
 def tame(e: Array, sigma: Array, S: Array, clip: float) -> Array:  # pragma: no cover - compiled
-    """``e`` (points, residuals) within ``clip`` spreads of the means that the sums ``S`` remember."""
+    """``e`` (points, residuals), where beyond ``clip`` spreads, held within as many of the means that ``S``
+    remembers."""
     tamed = e.copy()
     for p in range(e.shape[0]):
         for r in range(e.shape[1]):
-            if S[p, r, 0] > 0:
-                mean, reach = S[p, r, 3] / S[p, r, 0], clip * sigma[p, r]
+            reach = clip * sigma[p, r]
+            if S[p, r, 0] > 0 and abs(e[p, r]) > reach:
+                mean = S[p, r, 3] / S[p, r, 0]
                 tamed[p, r] = min(max(e[p, r], mean - reach), mean + reach)
     return tamed
 
@@ -153,3 +157,65 @@ def excess(
         if points[i] > 0 and abs(sizes[i] - size) < abs(sizes[near] - size):
             near = i
     return log_likelihood(S[points[near]], sd) - log_likelihood(S[0], sd)
+
+
+@njit(cache=True)
+def follow(
+    dt: Array, active: NDArray[np.bool_], known: Array, e: Array, sigma: Array, doubt: Array, shapes: Array,
+    sd: Array, unknown_sd: Array,
+    points: NDArray[np.int64], sizes: Array, prior: Array, count: NDArray[np.int64],
+    left: NDArray[np.int64], right: NDArray[np.int64], share: Array, memories: Array,
+    threshold: Array, numbers: Array, S: Array, clocks: Array, largest: Array,
+) -> tuple[Array, NDArray[np.int8], Array, Array, Array, Array]:  # fmt: skip  # pragma: no cover - compiled
+    """The recursion over the rows; changes ``S``, ``clocks`` and ``largest`` in place."""
+    N, F, T = len(dt), points.shape[0], len(memories) - 1
+    correlation, clip, confirm, clear, temper, penalty = numbers
+    statistic, detection = np.full(N, -np.inf), np.zeros(N, dtype=np.int8)
+    out_evidence, out_p = np.zeros((N, F)), np.zeros((N, F + 1))
+    out_size, out_sd = np.zeros((N, F)), np.zeros((N, F))
+    row = 0
+    for k in range(N):
+        weight = min(dt[k], correlation) / correlation
+        if active[k]:
+            weight *= known[row]
+            spread, own = between(sigma[row], left, right, share), between(doubt[row], left, right, share)
+            tamed = tame(between(e[row], left, right, share), spread, S[1, :-1], clip)
+        for i in range(T + 1):
+            S[i] *= np.exp(-dt[k] / memories[i])
+            if active[k]:
+                add_sample(S[i, :-1], tamed, spread, own, shapes[row], weight)
+                add_sample(S[i, -1:], e[row, :1], sigma[row, :1], doubt[row, :1], shapes[row], weight)
+        row += active[k]
+        best, named, tamed = np.full(F + 1, -np.inf), 0.0, np.empty((0, 0))
+        for i in range(T):
+            evidence, size, size_sd = evidence_of(S[i], sd, unknown_sd, points, sizes, prior, count)
+            if i == 1 and clocks[0] == 1:
+                named = excess(S[1], sd, points[int(clocks[2])], sizes[int(clocks[2])], clocks[3])
+            for f in range(F):
+                largest[i, f] = max(largest[i, f], evidence[f])
+                statistic[k] = max(statistic[k], evidence[f] - threshold[i, f])
+                if evidence[f] > best[f]:
+                    best[f], out_size[k, f], out_sd[k, f] = evidence[f], size[f], size_sd[f]
+        if clocks[0] == 0:
+            clocks[1] = clocks[1] + dt[k] if statistic[k] > 0 else 0.0
+            if clocks[1] >= confirm:
+                clocks[:] = 0.0
+                clocks[0] = 1.0
+                S[T] = 0.0
+        else:
+            clocks[5] += dt[k]
+            over = clocks[5] > memories[1] and (named < -clear or clocks[4] < 0.0)
+            clocks[1] = clocks[1] + dt[k] if over else 0.0
+            if clocks[1] >= confirm:
+                clocks[:] = 0.0
+                S[2:] = S[1]  # what the long memories hold is over
+        if clocks[0] == 1:
+            best, out_size[k], out_sd[k] = evidence_of(S[T], sd, unknown_sd, points, sizes, prior, count)
+            best[F] -= penalty
+            odds = np.exp(temper * (best - np.max(best)))
+            out_p[k] = odds / odds.sum()
+            clocks[2] = np.argmax(best[:F])
+            clocks[3], clocks[4] = out_size[k, int(clocks[2])], np.max(best[:F])
+        out_evidence[k] = best[:F]
+        detection[k] = np.int8(clocks[0])
+    return statistic, detection, out_evidence, out_p, out_size, out_sd

@@ -25,15 +25,14 @@ covariance."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
+from functools import cached_property
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from ingest.physics import zero_order_hold
+from stages.sensitivities import gram_loop
 
 Array = NDArray[np.float64]
 STEPS = 12
@@ -41,108 +40,6 @@ TOLERANCE = 0.03  # of minus twice the log-likelihood: a sixth of a standard dev
 STIFF = 1e-4  # a drift that is as good as none
 LEAST_LAG = 0.05  # samples
 LARGEST_STEP = 2.0  # of a parameter, most of which are logarithms
-CHUNK = 256  # samples whose columns are kept at once
-
-
-@njit(cache=True, fastmath={"reassoc", "contract"})
-def _add_products(columns: Array, rows: int, G: Array) -> None:  # pragma: no cover - compiled
-    """Add the products of the first ``rows`` of the columns (width, rows) to the lower half of G, in
-    place."""
-    for i in range(len(G)):
-        for j in range(i + 1):
-            total = 0.0
-            for t in range(rows):
-                total += columns[i, t] * columns[j, t]
-            G[i, j] += total
-
-
-@cache
-def _gram_of(n: int, M: int, D: int) -> Callable[..., tuple[Array, Array]]:
-    """The compiled loop for n plant coefficients, M of the noise, D drifts: numbers that it is unrolled
-    by."""
-    S, first_x0 = 2 * n + 2, n + 3 + M
-    first_drift = first_x0 + n + 1
-    width = first_drift + D + 2
-
-    @njit(cache=True)
-    def _gram(
-        u: Array,
-        y: Array,
-        Ad: Array,
-        Bd: Array,
-        x0: Array,
-        scale: Array,
-        drifting: NDArray[np.int64],
-        a: float,
-        phi: float,
-        gamma: Array,
-    ) -> tuple[Array, Array]:  # pragma: no cover - compiled
-        """``V' V`` of the whitened columns V over a window, shape (width, width).
-
-        Columns: sensitivities of the output to ln tau, ln b, ln a_1 ... ln a_n, those of the innovations to
-        a and gamma, responses to the initial states (n + 1), to drift of the output's gain, to drifts of b
-        (0) or a_i (i), and the innovations. States: plant (n), sensor, sensor again, plant again; the
-        second copies make the sensitivities, as ``dy / d ln tau = y / (tau s + 1) - y`` and ``dy / d a_i =
-        -s^(n-i) y / A(s)``. ``Ad`` and ``Bd`` advance them."""
-        N = u.size
-        G, columns = np.zeros((width, width)), np.empty((width, CHUNK))
-        x, new, A, A4 = np.zeros(S), np.empty(S), Ad.T.copy(), Ad[: n + 1, : n + 1].T.copy()
-        x[: n + 1] = x0
-        free, free_new = np.zeros(n + 1), np.empty(n + 1)
-        free[n] = 1.0
-        d, d_new = np.zeros((D, n + 1)), np.empty(n + 1)
-        raw, white, new_white = np.zeros(width), np.zeros(width), np.zeros(width)
-        white2, before, before2 = np.zeros(width), np.zeros(width), np.zeros(width)
-        c1, c2 = gamma[0], gamma[M - 1] if M > 1 else 0.0
-        for t in range(N):
-            when = (t - 0.5 * (N - 1)) / N
-            raw[0], raw[1] = x[n + 1] - x[n], x[n]
-            for i in range(n):
-                raw[2 + i] = -scale[i] * x[S - 1 - i]
-            raw[first_x0:first_drift] = free
-            raw[first_drift] = when * x[n]
-            for k in range(D):
-                raw[first_drift + 1 + k] = d[k, n]
-            raw[width - 1] = y[t] - x[n]
-            # whitened by (q - a) (q - phi) / C; a and gamma act on that filter's own signals
-            for i in range(width):
-                new_white[i] = raw[i] - (a + phi) * before[i] + a * phi * before2[i]
-            new_white[n + 2] = before[width - 1] - phi * before2[width - 1]
-            new_white[n + 3] = white[width - 1]
-            if M > 1:
-                new_white[n + 2 + M] = white2[width - 1]
-            for i in range(width):
-                new_white[i] -= c1 * white[i] + c2 * white2[i]
-                white2[i], white[i] = white[i], new_white[i]
-                before2[i], before[i] = before[i], raw[i]
-            columns[:, t % CHUNK] = white
-            if t % CHUNK == CHUNK - 1 or t == N - 1:
-                _add_products(columns, t % CHUNK + 1, G)
-            for i in range(S):
-                new[i] = Bd[i] * u[t]
-            for j in range(S):
-                for i in range(S):
-                    new[i] += A[j, i] * x[j]
-            for k in range(D):
-                i = drifting[k] - 1
-                w = u[t] * when if i < 0 else -scale[i] * when * 0.5 * (x[n - 1 - i] + new[n - 1 - i])
-                for row in range(n + 1):
-                    d_new[row] = Bd[row] * w
-                for j in range(n + 1):
-                    for row in range(n + 1):
-                        d_new[row] += A4[j, row] * d[k, j]
-                d[k] = d_new
-            x[:] = new
-            free_new[:] = 0.0
-            for i in range(n + 1):
-                for j in range(n + 1):
-                    free_new[j] += free[i] * Ad[i, j]
-            free[:] = free_new
-        for i in range(width):
-            G[:i, i] = G[i, :i]
-        return G, x[: n + 1].copy()
-
-    return _gram
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -177,10 +74,12 @@ class Structure:
         """Without drift: Gauss-Newton is no descent while large drifts stand in for wrong parameters."""
         return replace(self, drift_sd=STIFF, input_drift=0.0, input_drift_sd=STIFF)
 
-    def gram(self, p: Array, x0: Array, u: Array, y: Array) -> tuple[Array, Array]:
-        """``V' V`` for V = [J, N, e] at parameters p, J in the order of p, N the linear unknowns; and the
-        state after the window that x0 leads to: the plant's output and its derivatives, and the sensor's
-        output."""
+    def gram(self, p: Array, w: Array, u: Array, y: Array) -> tuple[Array, Array]:
+        """``V' V`` for V = [J, N, e] at parameters p, J in the order of p, and the state after the window:
+        the plant's output and its derivatives, and the sensor's output.
+
+        N are the responses to the unknowns w beside p: the state before, and the drifts of the output's
+        gain, of b, and of a_i. The last are linear only: there w is not looked at."""
         n = self.plant_order
         tau, b, a_i, gamma = unpack(p, n)
         M = gamma.size
@@ -197,33 +96,31 @@ class Structure:
         B[n - 1] = 1.0
         Ad, Bd = zero_order_hold(A, B, dt)
         a = np.exp(-dt / tau)
-        units = np.append(unit ** np.arange(n), 1.0)
-        loop = _gram_of(n, M, self._drifting.size)
-        G, x = loop(b * u, y, Ad, Bd[:, 0], x0 * units, a_i, self._drifting, a, self.colour, gamma)
+        units = np.append(unit ** np.arange(n), [1.0, 1.0, 1.0])
+        loop = gram_loop(n, M, self._drifting.size)
+        G, x = loop(b * u, y, Ad, Bd[:, 0], w[: n + 3] * units, a_i, self._drifting, a, self.colour, gamma)
         T = np.zeros((len(G), len(G) - 1))  # from columns as simulated to columns of p
         T[[0, n + 2], 0] = 1.0, a * dt / tau
         T[1, 1:3] = 1.0
         T[2 : n + 2, 2 : n + 2] = np.tril(np.ones((n, n)))
         T[n + 3 :, n + 2 :] = np.eye(len(G) - n - 3)
-        T[n + 3 + M : 2 * n + 4 + M, n + 2 + M : 2 * n + 3 + M] = np.diag(units)
-        T[2 * n + 5 + M, -1] = -self.input_drift  # innovations beyond the drift of b that is expected
-        return T.T @ G @ T, x / units
+        T[n + 3 + M : 2 * n + 6 + M, n + 2 + M : 2 * n + 5 + M] = np.diag(units)
+        return T.T @ G @ T, x / units[: n + 1]
 
-    def information(self, parameters: Array) -> Array:
-        """What is known of [p, linear unknowns] a priori: ``parameters`` (k, k) of p, nothing of the
-        state."""
-        n, k, drifts = self.plant_order, len(parameters), 2 + len(self.drifting)
-        known = np.zeros((k + n + 1 + drifts,) * 2)
-        known[:k, :k] = parameters
-        known[k + n + 1 :, k + n + 1 :] = np.eye(drifts) / self.drift_sd**2
-        known[k + n + 2, k + n + 2] = self.input_drift_sd**-2
-        return known
+    @cached_property
+    def expected(self) -> tuple[Array, Array]:
+        """Mean and information (both vectors) of w a priori: nothing is known of the state."""
+        n, drifts = self.plant_order, 2 + len(self.drifting)
+        mean, information = np.zeros((2, n + 1 + drifts))
+        information[n + 1 :] = self.drift_sd**-2
+        mean[n + 2], information[n + 2] = self.input_drift, self.input_drift_sd**-2
+        return mean, information
 
     def loss(self, p: Array, u: Array, y: Array) -> float:
         """Minus twice the log-likelihood of p, up to a constant."""
-        k = p.size
-        G, _ = self.gram(p, np.zeros(self.plant_order + 1), u, y)
-        return _profile(G, k, self.information(np.zeros((k, k))), u.size)[1]
+        mean, _ = self.expected
+        G, _ = self.gram(p, mean, u, y)
+        return _profile(G, p.size, self.expected[1], np.zeros_like(mean), u.size)[1]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -306,37 +203,47 @@ def fit(
 
     ``state``: that after the window before, if there is one. The covariance is computed from there: a state
     fitted to noise decays like a plant and would seem to tell of its poles where nothing excites it."""
-    k, known = start.size, structure.information(information)
-    p, x0 = start, np.zeros(structure.plant_order + 1) if state is None else state
-    G, end = structure.gram(p, x0, u, y)
+    k, n = start.size, structure.plant_order
+    expected, known = structure.expected
+    fixed = n + 3  # of w, what is carried on from step to step; the rest is linear
+    p, w = start, expected.copy()
+    G, end = structure.gram(p, w, u, y)
     if state is None:
-        x0 = x0 + _solve(G[k:-1, k:-1], G[k:-1, -1])[: x0.size]
-        G, end = structure.gram(p, x0, u, y)
-    v, loss = _profile(G, k, known, u.size)
+        w[: n + 1] += _solve(G[k:-1, k:-1], G[k:-1, -1])[: n + 1]
+    else:
+        w[: n + 1] = state
+    G, end = structure.gram(p, w, u, y)
+    v, loss = _profile(G, k, known, w - expected, u.size)
     loss += float((p - mean) @ information @ (p - mean))
     damping = 1e-3
     for _ in range(STEPS):
-        H, g = G[:-1, :-1] + v * known, G[:-1, -1].copy()
+        H, g = G[:-1, :-1].copy(), G[:-1, -1].copy()
+        H[:k, :k] += v * information
+        H[np.arange(k, len(H)), np.arange(k, len(H))] += v * known
         g[:k] -= v * information @ (p - mean)
+        g[k:] -= v * known * (w - expected)
         H[np.arange(k), np.arange(k)] *= 1.0 + damping
         step = _solve(H, g)
-        trial, x0_trial = p + step[:k], x0 + step[k : k + x0.size]
+        trial, w_trial = p + step[:k], w.copy()
+        w_trial[:fixed] += step[k : k + fixed]
         if np.abs(step[:k]).max() > LARGEST_STEP or not _possible(structure, trial):
             damping = max(10.0 * damping, 1e-3)
             continue
-        G_trial, end_trial = structure.gram(trial, x0_trial, u, y)
-        v_trial, new = _profile(G_trial, k, known, u.size)
+        G_trial, end_trial = structure.gram(trial, w_trial, u, y)
+        v_trial, new = _profile(G_trial, k, known, w_trial - expected, u.size)
         new += float((trial - mean) @ information @ (trial - mean))
         if not new <= loss:
             damping = max(10.0 * damping, 1e-3)
             continue
         gained = loss - new
-        p, x0, G, end, v, loss, damping = trial, x0_trial, G_trial, end_trial, v_trial, new, 0.1 * damping
+        p, w, G, end, v, loss, damping = trial, w_trial, G_trial, end_trial, v_trial, new, 0.1 * damping
         if gained < TOLERANCE:
             break
     if state is not None:
-        G, _ = structure.gram(p, state, u, y)
-    H = G[:-1, :-1] / v + known
+        G, _ = structure.gram(p, np.concatenate([state, w[n + 1 :]]), u, y)
+    H = G[:-1, :-1] / v
+    H[:k, :k] += information
+    H[np.arange(k, len(H)), np.arange(k, len(H))] += known
     covariance = np.asarray(np.linalg.inv(H[:k, :k] - H[:k, k:] @ _solve(H[k:, k:], H[k:, :k])), np.float64)
     return Fit(
         p=p, covariance=covariance, variance=v, state=end, loss=loss, samples=u.size, dt=structure.dt,
@@ -353,13 +260,14 @@ def _solve(M: Array, b: Array) -> Array:
     return np.asarray((x.T / d).T)
 
 
-def _profile(G: Array, k: int, known: Array, samples: int) -> tuple[float, float]:
-    """Variance of the innovations, and minus twice the log-likelihood up to a constant, with the linear
-    unknowns (columns k to -1 of the Gram matrix, a priori ``known``) at their best."""
+def _profile(G: Array, k: int, known: Array, off: Array, samples: int) -> tuple[float, float]:
+    """Variance of the innovations, and minus twice the log-likelihood up to a constant, with w (columns k
+    to -1 of the Gram matrix) at its best; a priori it has information ``known`` and is ``off`` its mean."""
     N, Ne, ee = G[k:-1, k:-1], G[k:-1, -1], G[-1, -1]
     v = max(float(ee - Ne @ _solve(N, Ne)), 1e-300) / (samples - len(G) + 1)
-    left = max(float(ee - Ne @ _solve(N + v * known[k:, k:], Ne)), 1e-300)
-    return v, float(samples * np.log(left))
+    pulled = Ne - v * known * off
+    left = float(ee + v * off @ (known * off) - pulled @ _solve(N + v * np.diag(known), pulled))
+    return v, float(samples * np.log(max(left, 1e-300)))
 
 
 def unpack(p: Array, plant_order: int) -> tuple[float, float, Array, Array]:

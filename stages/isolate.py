@@ -32,12 +32,11 @@ from itertools import pairwise
 from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from ingest.errors import RecipeError
 from ingest.log import TIME, Log
-from stages.evidence import SUMS, add_sample, between, evidence_of, excess, tame
+from stages.evidence import SUMS, follow
 from stages.formula import Formula
 from stages.gate import GATE
 from stages.hypotheses import DRIFT_PRIOR, Drift, Hypothesis, Points
@@ -93,7 +92,7 @@ class Isolate:
     clear: float = 8.0
     temper: float = 0.5
     unknown_sd: float = 30.0
-    unknown_penalty: float = 20.0
+    unknown_penalty: float = 60.0
     learned: Arrays = field(default_factory=dict)
     before: tuple[Stage, ...] = ()
 
@@ -172,7 +171,7 @@ class Isolate:
         known = familiarity(novelty, self.known_to)
         left, right, share, points, sizes, count, prior = self._grid
         S, clocks, largest = state.S.copy(), state.clocks.copy(), state.largest.copy()
-        out = _run(
+        out = follow(
             dt, active, known, e, sigma, doubt, self._shapes(needed), self._sd, self._unknown_sd,
             points, sizes, prior, count, left, right, share,
             np.array([*self.memories_s, self.memories_s[-1]]),
@@ -264,65 +263,3 @@ class Isolate:
         prior[:healthy] = np.log([plain, *np.tile(DRIFT_PRIOR, len(self.drifts)) / max(len(self.drifts), 1)])
         counts = np.array([len(grid) for grid in grids])
         return np.array(left), np.array(right), np.array(share), points, sizes, counts, prior
-
-
-@njit(cache=True)
-def _run(
-    dt: Array, active: NDArray[np.bool_], known: Array, e: Array, sigma: Array, doubt: Array, shapes: Array,
-    sd: Array, unknown_sd: Array,
-    points: NDArray[np.int64], sizes: Array, prior: Array, count: NDArray[np.int64],
-    left: NDArray[np.int64], right: NDArray[np.int64], share: Array, memories: Array,
-    threshold: Array, numbers: Array, S: Array, clocks: Array, largest: Array,
-) -> tuple[Array, NDArray[np.int8], Array, Array, Array, Array]:  # fmt: skip  # pragma: no cover - compiled
-    """The recursion over the rows; changes ``S``, ``clocks`` and ``largest`` in place."""
-    N, F, T = len(dt), points.shape[0], len(memories) - 1
-    correlation, clip, confirm, clear, temper, penalty = numbers
-    statistic, detection = np.full(N, -np.inf), np.zeros(N, dtype=np.int8)
-    out_evidence, out_p = np.zeros((N, F)), np.zeros((N, F + 1))
-    out_size, out_sd = np.zeros((N, F)), np.zeros((N, F))
-    row = 0
-    for k in range(N):
-        weight = min(dt[k], correlation) / correlation
-        if active[k]:
-            weight *= known[row]
-            spread, own = between(sigma[row], left, right, share), between(doubt[row], left, right, share)
-            tamed = tame(between(e[row], left, right, share), spread, S[1, :-1], clip)
-        for i in range(T + 1):
-            S[i] *= np.exp(-dt[k] / memories[i])
-            if active[k]:
-                add_sample(S[i, :-1], tamed, spread, own, shapes[row], weight)
-                add_sample(S[i, -1:], e[row, :1], sigma[row, :1], doubt[row, :1], shapes[row], weight)
-        row += active[k]
-        best, named, tamed = np.full(F + 1, -np.inf), 0.0, np.empty((0, 0))
-        for i in range(T):
-            evidence, size, size_sd = evidence_of(S[i], sd, unknown_sd, points, sizes, prior, count)
-            if i == 1 and clocks[0] == 1:
-                named = excess(S[1], sd, points[int(clocks[2])], sizes[int(clocks[2])], clocks[3])
-            for f in range(F):
-                largest[i, f] = max(largest[i, f], evidence[f])
-                statistic[k] = max(statistic[k], evidence[f] - threshold[i, f])
-                if evidence[f] > best[f]:
-                    best[f], out_size[k, f], out_sd[k, f] = evidence[f], size[f], size_sd[f]
-        if clocks[0] == 0:
-            clocks[1] = clocks[1] + dt[k] if statistic[k] > 0 else 0.0
-            if clocks[1] >= confirm:
-                clocks[:] = 0.0
-                clocks[0] = 1.0
-                S[T] = 0.0
-        else:
-            clocks[5] += dt[k]
-            over = clocks[5] > memories[1] and (named < -clear or clocks[4] < 0.0)
-            clocks[1] = clocks[1] + dt[k] if over else 0.0
-            if clocks[1] >= confirm:
-                clocks[:] = 0.0
-                S[2:] = S[1]  # what the long memories hold is over
-        if clocks[0] == 1:
-            best, out_size[k], out_sd[k] = evidence_of(S[T], sd, unknown_sd, points, sizes, prior, count)
-            best[F] -= penalty
-            odds = np.exp(temper * (best - np.max(best)))
-            out_p[k] = odds / odds.sum()
-            clocks[2] = np.argmax(best[:F])
-            clocks[3], clocks[4] = out_size[k, int(clocks[2])], np.max(best[:F])
-        out_evidence[k] = best[:F]
-        detection[k] = np.int8(clocks[0])
-    return statistic, detection, out_evidence, out_p, out_size, out_sd

@@ -20,7 +20,7 @@ ACC 1983; M. Verhaegen, Automatica 30, 1994; P. Van Overschee, B. De Moor, Subsp
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Literal
 
 import numpy as np
@@ -180,35 +180,30 @@ def identify(
         raise LogError(
             f"subspace identification: signal {int(np.argmin(scale)) + 1} of [y, u] is zero throughout"
         )
-    place, L = _lq(gram, np.tile(scale, 2 * r), r)
-    a, b = r * m, r * m + r * p
-    L22, L32, L33 = L[a:b, a:b], L[b:, a:b], L[b:, b:]
-    S = np.eye(r * outputs)
-    if method == "cva" or order is None:
-        S = _factor(L32 @ L32.T + L33 @ L33.T)
-    projection = _left_divide(S, L32) if method == "cva" else L32
-    weighted = _right_divide(L32, L22) @ L[a:b, :b] if method == "n4sid" else projection
+    place, rows = _places(r, p, outputs)
+    L = _lq(gram.gram, 1.0 / np.tile(scale * np.sqrt(gram.count), 2 * r), rows)
+    S, projection = _project(L, r * m, r * p, method == "cva" or order is None, method == "cva")
+    past = slice(r * m, r * m + r * p)
+    weighted = projection
+    if method == "n4sid":
+        weighted = _right_divide(projection, L[past, past]) @ L[past, : past.stop]
     U, s, _ = np.linalg.svd(weighted, full_matrices=False)
     criterion = None
     if order is None:
-        canonical = s if method == "cva" else np.linalg.svd(_left_divide(S, L32), compute_uv=False)
+        canonical = s if method == "cva" else np.linalg.svd(_left_divide(S, projection), compute_uv=False)
         criterion = order_criterion(np.asarray(canonical[: outputs * (r - 1)]), gram.count, outputs, m)
         order = 1 + int(np.argmin(criterion[1:]))
     if not s[order - 1] > 0.0:
         raise LogError(f"subspace identification: the signals do not excite a model of order {order}")
     root, U = np.sqrt(s[:order]), U[:, :order]
     observability = (S @ U if method == "cva" else U) * root
-    states = _right_divide((U / root).T @ projection, L22)
-    A = _least_squares(observability[outputs:].T, observability[:-outputs].T).T
-    now, following = states @ L[place[: r * p]], states @ L[place[p : (r + 1) * p]]
-    y, u = L[place[r * p : r * p + outputs]], L[place[r * p + outputs : (r + 1) * p]]
-    model = _regress(A, observability[:outputs], now, following, y, u)
-    return Identified(
-        model=_rescaled(model, scale[:outputs], scale[outputs:], dt),
-        order=order,
-        singular_values=s,
-        criterion=criterion,
+    to_past = (U / root).T @ projection
+    A, B, C, D, K, R = _realise(L, place, observability, to_past, outputs, p, r, past.start)
+    y, u = scale[:outputs], scale[outputs:]
+    model = StateSpace(
+        A=A, B=B / u, C=y[:, None] * C, D=y[:, None] * D / u, K=K / y, R=y[:, None] * R * y, dt=dt
     )
+    return Identified(model=model, order=order, singular_values=s, criterion=criterion)
 
 
 def order_criterion(canonical: Array, count: int, outputs: int, inputs: int) -> Array:
@@ -223,16 +218,33 @@ def order_criterion(canonical: Array, count: int, outputs: int, inputs: int) -> 
     return np.asarray(following + n * (2 * outputs + inputs) * np.log(count) / count)
 
 
-def _lq(gram: LagGram, scale: Array, r: int) -> tuple[NDArray[np.int64], Array]:
-    """Where each row of phi is in L, and L, of the scaled signals; rows: future u, past, future y."""
-    p, outputs = gram.signals, gram.outputs
+@cache
+def _places(r: int, p: int, outputs: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Where each row of phi is in L, and which row of phi is there: future u, past, future y."""
     lag, channel = np.divmod(np.arange(2 * r * p), p)
-    group = np.where(lag < r, 1, np.where(channel < outputs, 2, 0))
-    rows = np.argsort(group, kind="stable")
-    place = np.empty_like(rows)
-    place[rows] = np.arange(rows.size)
-    scaled = gram.gram / (gram.count * scale[:, None] * scale)
-    return place, _factor(scaled[np.ix_(rows, rows)])
+    rows = np.argsort(np.where(lag < r, 1, np.where(channel < outputs, 2, 0)), kind="stable")
+    return np.argsort(rows), rows
+
+
+@njit(cache=True)
+def _lq(gram: Array, scale: Array, rows: NDArray[np.int64]) -> Array:  # pragma: no cover - compiled
+    """L of the scaled signals."""
+    G = np.empty(gram.shape)
+    for i in range(len(G)):
+        for j in range(len(G)):
+            G[i, j] = gram[rows[i], rows[j]] * scale[rows[i]] * scale[rows[j]]
+    return _factor(G)
+
+
+@njit(cache=True)
+def _project(
+    L: Array, a: int, width: int, with_S: bool, divide: bool
+) -> tuple[Array, Array]:  # pragma: no cover - compiled
+    """S (the unit matrix where it is not wanted), and L32 or inv(S) L32; L22 begins at row a."""
+    b = a + width
+    L32, L33 = np.ascontiguousarray(L[b:, a:b]), np.ascontiguousarray(L[b:, b:])
+    S = _factor(L32 @ L32.T + L33 @ L33.T) if with_S else np.eye(len(L32))
+    return S, _left_divide(S, L32) if divide else L32
 
 
 @njit(cache=True, fastmath={"reassoc", "contract"})
@@ -282,24 +294,35 @@ def _right_divide(M: Array, L: Array) -> Array:  # pragma: no cover - compiled
     return X
 
 
-def _least_squares(Y: Array, X: Array) -> Array:
+@njit(cache=True)
+def _least_squares(Y: Array, X: Array) -> Array:  # pragma: no cover - compiled
     """Theta that minimises ``|Y - Theta X|``."""
     F = _factor(X @ X.T)
-    return np.asarray(_right_divide(_left_divide(F, X @ Y.T).T, F))
+    return _right_divide(np.ascontiguousarray(_left_divide(F, X @ Y.T).T), F)
 
 
-def _regress(A: Array, C: Array, x: Array, following: Array, y: Array, u: Array) -> StateSpace:
-    """B, D, K and R by least squares; all signals as coordinates in the orthonormal basis of the LQ."""
-    n = len(A)
-    rest = np.vstack([following - A @ x, y - C @ x])
+@njit(cache=True)
+def _realise(
+    L: Array,
+    place: NDArray[np.int64],
+    observability: Array,
+    to_past: Array,
+    outputs: int,
+    p: int,
+    r: int,
+    a: int,
+) -> tuple[Array, Array, Array, Array, Array, Array]:  # pragma: no cover - compiled
+    """A, B, C, D, K, R of the scaled signals: A and C by shift invariance, the others by least squares,
+    with all signals as coordinates in the orthonormal basis of the LQ."""
+    n = observability.shape[1]
+    states = _right_divide(to_past, np.ascontiguousarray(L[a : a + r * p, a : a + r * p]))
+    C = observability[:outputs].copy()
+    above = np.ascontiguousarray(observability[:-outputs].T)
+    A = np.ascontiguousarray(_least_squares(np.ascontiguousarray(observability[outputs:].T), above).T)
+    now, following = states @ L[place[: r * p]], states @ L[place[p : (r + 1) * p]]
+    y, u = L[place[r * p : r * p + outputs]], L[place[r * p + outputs : (r + 1) * p]]
+    rest = np.concatenate((following - A @ now, y - C @ now))
     BD = _least_squares(rest, u)
-    w, e = np.split(rest - BD @ u, [n])
-    return StateSpace(A=A, B=BD[:n], C=C, D=BD[n:], K=_least_squares(w, e), R=e @ e.T, dt=1.0)
-
-
-def _rescaled(model: StateSpace, y: Array, u: Array, dt: float) -> StateSpace:
-    """The model of signals in their own units."""
-    return StateSpace(
-        A=model.A, B=model.B / u, C=y[:, None] * model.C, D=y[:, None] * model.D / u, K=model.K / y,
-        R=y[:, None] * model.R * y, dt=dt,
-    )  # fmt: skip
+    left = rest - BD @ u
+    w, e = np.ascontiguousarray(left[:n]), np.ascontiguousarray(left[n:])
+    return A, BD[:n].copy(), C, BD[n:].copy(), _least_squares(w, e), e @ e.T

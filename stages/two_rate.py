@@ -57,10 +57,12 @@ class TwoRate:
             model = identify(gram, structure.dt * self.decimation, order=structure.plant_order).model
         except (LogError, np.linalg.LinAlgError):  # signals at rest
             return None
-        a_i = np.real(np.poly(model.poles))[1:]
+        # the fastest may come out as a negative eigenvalue; its distance from the imaginary axis holds
+        poles = np.where(np.isclose(model.poles.imag, np.pi / model.dt), model.poles.real, model.poles)
+        a_i = np.real(np.poly(poles))[1:]
         b = float(model.gains[0, 0]) * a_i[-1]
-        usable = np.isfinite(b) and b > 0.0 and (a_i > 0.0).all() and (model.poles.real < 0.0).all()
-        return (b, a_i, float(np.abs(model.poles).max())) if usable else None
+        usable = np.isfinite(b) and b > 0.0 and (a_i > 0.0).all() and (poles.real < 0.0).all()
+        return (b, a_i, float(np.abs(poles).max())) if usable else None
 
     def starts(self, structure: Structure, u: Array, y: Array, last: Array | None) -> list[Array]:
         """Parameter vectors to choose from; ``last``: that of an earlier window, whose sensor is taken on."""

@@ -53,6 +53,7 @@ def test_spikes_are_held_near_the_remembered_mean() -> None:
     e, sigma = np.array([[50.0, 50.0]]), np.array([[0.5, 0.5]])
     np.testing.assert_allclose(tame(e, sigma, S, 4.0), [[7.0, 50.0]])
     np.testing.assert_allclose(tame(e / 10, sigma, S, 4.0), e / 10)
+    np.testing.assert_allclose(tame(e / 50, sigma, S, 4.0), e / 50)  # what is near zero is no spike
 
 
 @given(st.floats(-0.9, 0.9), st.floats(0.05, 2.0))

@@ -67,12 +67,12 @@ def test_sensitivities_are_those_of_finite_differences() -> None:
     """J' e of the compiled loop is the derivative of the squares, the innovations being filtered from
     outside."""
     u, y = window(1, 800)
-    x0 = np.zeros(4)
+    w = np.array([0.0, 0.0, 0.0, 0.0, 0.05, -0.04, 0.0])
 
     def squares(p: Array) -> float:
-        return float(STRUCTURE.gram(p, x0, u, y)[0][-1, -1])
+        return float(STRUCTURE.gram(p, w, u, y)[0][-1, -1])
 
-    G, _ = STRUCTURE.gram(TRUTH, x0, u, y)
+    G, _ = STRUCTURE.gram(TRUTH, w, u, y)
     for i in range(6):
         h = 1e-5 * np.eye(6)[i]
         slope = (squares(TRUTH + h) - squares(TRUTH - h)) / 2e-5
@@ -84,13 +84,13 @@ def test_innovations_are_those_of_a_filter() -> None:
     quiet = {"sd_w_p": 0.0, "sd_w_n": 0.0}
     log = simulate_throttle(seed=3, duration_s=0.2, overrides=quiet)
     u, y = log.values("e_a"), log.values("theta_ang")
-    G, end = STRUCTURE.gram(TRUTH, np.zeros(4), u, y)
+    G, end = STRUCTURE.gram(TRUTH, np.zeros(7), u, y)
     assert G[-1, -1] < 1e-11 * u.size  # the simulator's log is float32
     assert end[0] / P.k_TPS == pytest.approx(log.values("truth.theta")[-1], abs=1e-3)
     noisy = y + np.random.default_rng(0).normal(size=y.size)
     a, c = np.exp(-1e-4 / P.tau_TPS), -TRUTH[-1]
     e = lfilter([1.0, -a], [1.0, -c], noisy - y)
-    assert STRUCTURE.gram(TRUTH, np.zeros(4), u, noisy)[0][-1, -1] == pytest.approx(float(e @ e), rel=1e-4)
+    assert STRUCTURE.gram(TRUTH, np.zeros(7), u, noisy)[0][-1, -1] == pytest.approx(float(e @ e), rel=1e-4)
 
 
 def test_estimates_are_unbiased_and_as_spread_as_they_say() -> None:
