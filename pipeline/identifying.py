@@ -73,7 +73,9 @@ def identify_log(log: Log, settings: Settings) -> dict[str, Any]:
         "innovations_sd": np.sqrt(np.diag(found.model.R)).tolist(),
         "held_out": {
             "samples": len(held_out),
-            "simulated_percent": _percent(settings, y, found.model.simulate(u, found.model.initial_state(y, u))),
+            "simulated_percent": _percent(
+                settings, y, found.model.simulate(u, found.model.initial_state(y, u))
+            ),
             "predicted_percent": _percent(settings, y, found.model.predict(y, u)),
         },
     }  # fmt: skip

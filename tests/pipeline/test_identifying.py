@@ -22,7 +22,7 @@ SETTINGS = Settings(inputs=("u", "v"), outputs=("y",))
 
 @pytest.fixture(scope="module")
 def log() -> Log:
-    """Poles at -1 and -0.3 ± 2i 1/s, static gains 2 (u) and -1 (v), about an operating point, sampled at 10 Hz."""
+    """Poles at -1 and -0.3 ± 2i 1/s, static gains 2 (u) and -1 (v), about an operating point, at 10 Hz."""
     A = np.array([[-1.0, 0.0, 0.0], [0.0, -0.3, 2.0], [0.0, -2.0, -0.3]])
     B = np.array([[1.0, 0.0], [0.0, 1.0], [0.0, 0.0]])
     C = np.array([[2.0, 0.0, 0.0]]) + np.array([[0.0, 1.0, 0.0]]) * (-1.0 / (0.3 / (0.09 + 4.0)))
