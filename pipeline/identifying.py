@@ -60,6 +60,7 @@ def identify_log(log: Log, settings: Settings) -> dict[str, Any]:
     held_out = max(_stretches(time[split:], z[split:] - mean, dt), key=len)
     found = _identify(fitted, k, dt, settings)
     y, u = held_out[:, :k], held_out[:, k:]
+    simulated = found.model.simulate(u, found.model.initial_state(y, u))
     return {
         "log": log.name, "inputs": list(settings.inputs), "outputs": list(settings.outputs),
         "method": settings.method, "sample_s": dt, "samples": split, "order": found.order,
@@ -73,9 +74,7 @@ def identify_log(log: Log, settings: Settings) -> dict[str, Any]:
         "innovations_sd": np.sqrt(np.diag(found.model.R)).tolist(),
         "held_out": {
             "samples": len(held_out),
-            "simulated_percent": _percent(
-                settings, y, found.model.simulate(u, found.model.initial_state(y, u))
-            ),
+            "simulated_percent": _percent(settings, y, simulated),
             "predicted_percent": _percent(settings, y, found.model.predict(y, u)),
         },
     }  # fmt: skip

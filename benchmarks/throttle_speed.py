@@ -1,0 +1,152 @@
+"""Speed: identification of identical windows by several packages, and a log from file to verdict."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ingest import read_log, write_log
+from ingest.simulators.faults import Fault
+from ingest.simulators.throttle import Throttle, plant_coefficients, simulate_throttle
+from pipeline.detector import unfitted_detector
+from pipeline.diagnosing import diagnose
+from pipeline.recipe import load_recipe
+from stages.subspace import identify, lag_gram
+from stages.two_rate import TwoRate
+
+Array = NDArray[np.float64]
+ROWS, ORDER, DECIMATION = 20, 3, 10
+WINDOW = 20_000  # samples at full rate
+
+
+def slicot(y: Array, u: Array, rows: int, order: int) -> tuple[Array, ...]:
+    """A, B, C, D, K by IB01AD (MOESP, Cholesky) and IB01BD (combined)."""
+    from ctrlsys import ib01ad, ib01bd
+
+    m, l = u.shape[1], y.shape[1]  # noqa: E741
+    _, R, *_ = ib01ad(
+        "M", "C", "N", "O", "N", "N", rows, m, l, np.asfortranarray(u), np.asfortranarray(y), 0.0, -1.0
+    )
+    A, C, B, D, _, _, _, K, *_ = ib01bd("C", "A", "K", rows, order, m, l, len(u), R, 0.0)
+    return A, B, C, D, K
+
+
+def _sippy(y: Array, u: Array) -> Array:
+    from sippy_unipi import system_identification
+
+    found = system_identification(y.T, u.T, "CVA", SS_fixed_order=ORDER, SS_f=ROWS, SS_p=ROWS)
+    return np.asarray(found.A)
+
+
+def _nfoursid(y: Array, u: Array) -> Array:
+    import pandas as pd
+    from nfoursid.nfoursid import NFourSID
+
+    frame = pd.DataFrame({"u": u[:, 0], "y": y[:, 0]})
+    found = NFourSID(frame, output_columns=["y"], input_columns=["u"], num_block_rows=ROWS)
+    found.subspace_identification()
+    model, _ = found.system_identification(rank=ORDER)
+    return np.asarray(model.a)
+
+
+def identification(seeds: Sequence[int]) -> list[dict[str, Any]]:
+    """Median ms a window and the error of the fast plant pole, for all packages that are installed."""
+    windows = [w for seed in seeds for w in _windows(seed)]
+    ways: dict[str, Callable[[Array, Array], Array]] = {
+        "ours (CVA, with K)": lambda y, u: identify(lag_gram(y, u, ROWS), 1e-3, order=ORDER).model.A,
+        "SLICOT IB01AD + IB01BD": lambda y, u: slicot(y, u, ROWS, ORDER)[0],
+        "sippy_unipi CVA": _sippy,
+        "nfoursid": _nfoursid,
+    }
+    times, errors = {}, {}
+    for name, way in ways.items():
+        try:
+            way(*windows[0])  # compiles, imports
+        except ImportError:
+            continue
+        repeats = 1 if name in ("sippy_unipi CVA", "nfoursid") else 20
+        times[name], errors[name] = _measure(way, windows, repeats)
+    ours, other = times["ours (CVA, with K)"], errors["ours (CVA, with K)"]
+    rows: list[dict[str, Any]] = [
+        {
+            "what": f"{name}: ms a window, error of the 1 ms pole",
+            "measured": f"{times[name]:.3f} ms, {errors[name]:.0f} %", "target": "",
+        }
+        for name in times
+    ]  # fmt: skip
+    for name, factor in (("SLICOT IB01AD + IB01BD", 1.0), ("sippy_unipi CVA", 50.0), ("nfoursid", 400.0)):
+        if name in times:
+            ratio = times[name] / ours
+            rows.append(
+                {
+                    "what": f"faster than {name}", "measured": f"{ratio:.2f} x", "target": f">= {factor:g} x",
+                    "holds": ratio >= factor,
+                }
+            )  # fmt: skip
+        else:
+            rows.append(
+                {"what": f"faster than {name}", "measured": "not installed", "target": f">= {factor:g} x"}
+            )
+    if "SLICOT IB01AD + IB01BD" in errors:
+        ratio = errors["SLICOT IB01AD + IB01BD"] / other
+        rows.append(
+            {
+                "what": "error of the 1 ms pole: SLICOT's over ours", "measured": f"{ratio:.1f}",
+                "target": ">= 2", "holds": ratio >= 2.0,
+            }
+        )  # fmt: skip
+    return rows
+
+
+def _windows(seed: int) -> list[tuple[Array, Array]]:
+    """Two windows of 2 s behind the low-pass filter, at 1 kHz."""
+    log = simulate_throttle(seed=seed, duration_s=4.0)
+    y, u = log.values("theta_ang"), log.values("e_a")
+    start = TwoRate(decimation=DECIMATION, horizon=ROWS)
+    return [start.decimated(u[i : i + WINDOW], y[i : i + WINDOW]) for i in (0, WINDOW)]
+
+
+def _measure(
+    way: Callable[[Array, Array], Array], windows: Sequence[tuple[Array, Array]], repeats: int
+) -> tuple[float, float]:
+    """Median ms, and median error in % of the fastest pole (100 where it is not stable)."""
+    _, *a = plant_coefficients(Throttle())
+    fastest = np.abs(np.roots([1.0, *a])).max()
+    spent, errors = [], []
+    for y, u in windows:
+        for _ in range(repeats):
+            began = time.perf_counter()
+            A = way(y, u)
+            spent.append(time.perf_counter() - began)
+        rates = -np.log(np.maximum(np.abs(np.linalg.eigvals(A)), 1e-12)) / 1e-3  # as (3.2): 1 / time constant
+        errors.append(min(100.0 * abs(float(rates.max()) / fastest - 1.0), 1000.0))
+    return 1e3 * float(np.median(spent)), float(np.median(errors))
+
+
+def end_to_end(seed: int) -> list[dict[str, Any]]:
+    """A 50 s log at 10 kHz: read, aligned, monitored, compensated, verdict."""
+    detector = unfitted_detector(load_recipe("throttle"))
+    log = simulate_throttle(
+        seed=seed, faults=[Fault(name="tps_gain", magnitude=-0.4, onset_s=25.0, ramp_s=25.0)]
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "log.parquet"
+        write_log(log, path)
+        diagnose(read_log(path), detector)  # compiles
+        spent = []
+        for _ in range(3):
+            began = time.process_time()
+            verdict = diagnose(read_log(path), detector).verdict
+            spent.append(time.process_time() - began)
+    return [
+        {
+            "what": f"50 s at 10 kHz from Parquet to verdict ({verdict.fault}), one core",
+            "measured": f"{min(spent):.2f} s", "target": "<= 1.5 s", "holds": min(spent) <= 1.5,
+        }
+    ]  # fmt: skip
