@@ -93,3 +93,9 @@ def test_a_reference_can_be_stored(out: Path, tmp_path: Path) -> None:
 def test_a_recipe_that_must_learn_wants_a_store() -> None:
     with pytest.raises(StoreError, match="--store"):
         unfitted_detector(load_recipe("diesel_airpath"))
+
+
+def test_the_recipe_of_the_second_plant_is_right() -> None:
+    recipe = load_recipe(Path(__file__).parents[2] / "data" / "recipes" / "thermocouple.toml")
+    assert recipe.signals == ("T_gas", "P_heater")
+    assert unfitted_detector(recipe).key == unfitted_detector(recipe).key
