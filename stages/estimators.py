@@ -60,7 +60,7 @@ class Innovations:
 
     structure: Structure
     start: TwoRate
-    walk: float = 0.5
+    walk: float = 0.2
 
     def estimate(self, u: Array, y: Array, memory: Memory | None, adjoins: bool) -> Estimate | None:
         """None where the window cannot be fitted, or a first one says too little; ``adjoins``: the window
@@ -112,7 +112,8 @@ class Innovations:
     def _next(self, structure: Structure, u: Array, y: Array, memory: Memory, state: Array | None) -> Fit:
         """From the last window's parameters; and anew, where the subspace model predicts better than that."""
         last = memory.parameters
-        held = np.where(np.arange(last.size) < structure.plant_order + 2, self.walk**-2, 0.0)
+        held = np.zeros(last.size)
+        held[: structure.plant_order + 2] = self.walk**-2
         fits = [fit(structure, u, y, last, last, np.diag(held), state)]
         for p in self.start.starts(structure, u, y, last):
             if structure.loss(p, u, y) + (p - last) @ (held * (p - last)) < fits[0].loss:
