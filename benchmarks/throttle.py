@@ -27,6 +27,7 @@ HERE = Path(__file__).resolve().parent
 sys.path = [str(HERE.parent), *(p for p in sys.path if Path(p).resolve() != HERE)]  # `ingest` is the package
 
 from benchmarks.hair_dryer import compare
+from benchmarks.throttle_printed import printed
 from benchmarks.throttle_robustness import robustness
 from benchmarks.throttle_runs import FAULTS, ONSET, RAMP, STAGES, Row, Run, monitored, simulate
 from benchmarks.throttle_speed import end_to_end, identification
@@ -203,7 +204,7 @@ def _compensation(runs: Mapping[str, Sequence[Run]]) -> list[Row]:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--part", type=int, nargs="+", choices=range(1, 7), default=[1, 3, 5, 6])
+    parser.add_argument("--part", type=int, nargs="+", choices=range(1, 8), default=[1, 3, 5, 6, 7])
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--first", type=int, default=FIRST_SEED)
     parser.add_argument("--slycot", type=Path, help="the source distribution of slycot, for part 6")
@@ -218,6 +219,8 @@ def main() -> int:
         rows += [Row(part=5, **r) for r in (*identification(seeds[:5]), *end_to_end(seeds[0]))]
     if 6 in args.part and args.slycot:
         rows += [Row(part=6, **r) for r in compare(args.slycot)]
+    if 7 in args.part:
+        rows += printed(seeds[:5])
     width = max((len(r.what) for r in rows), default=0)
     for row in sorted(rows, key=lambda r: r.part):
         mark = {True: "holds", False: "DOES NOT HOLD", None: ""}[row.holds]

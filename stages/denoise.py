@@ -3,9 +3,10 @@
 The detail coefficients of a Daubechies-4 transform are shrunk towards zero by the universal threshold
 ``sigma sqrt(2 ln N)``, sigma from the median of the finest ones. Needs PyWavelets (``dynoscope[wavelets]``).
 
-Not for the monitor's signals: it helps a full-rate subspace model to the slow poles (error of the 29 ms
-pole 48 -> 10 %), but removes the process disturbance from which the sensor is identified (tau_TPS 9 -> 30
-%; after decimation the 1 ms pole 3 -> 54 %). ``benchmarks/throttle.py`` measures it."""
+Not for the monitor's signals: it helps a full-rate subspace model to the slow poles (error of the 29 ms pole
+68 -> 5 %), but takes away the process disturbance from which the sensor is known: the monitor then finds
+3.6e-4 s for a time constant of 2e-4 s, and a slower sensor looks weaker (``benchmarks/throttle.py --part 7``).
+"""
 
 from __future__ import annotations
 
@@ -69,7 +70,7 @@ class Denoise:
         )
 
     def _denoised(self, x: Array) -> Array:
-        windows = x.copy().reshape(-1, self.samples)  # PyWavelets wants to be allowed to write
+        windows = x.reshape(-1, self.samples)
         return np.concatenate([x[:0], *(w if np.isnan(w).any() else shrink(w) for w in windows)])
 
 
@@ -83,7 +84,7 @@ def shrink(x: Array) -> Array:
         import pywt
     except ImportError:
         raise RecipeError("denoise needs PyWavelets: pip install 'dynoscope[wavelets]'") from None
-    coarse, *details = pywt.wavedec(x, "db4")
+    coarse, *details = pywt.wavedec(np.array(x), "db4")  # it wants to be allowed to write
     sigma = float(np.median(np.abs(details[-1]))) / 0.6745
     threshold = sigma * np.sqrt(2.0 * np.log(x.size))
     shrunk = [np.sign(d) * np.maximum(np.abs(d) - threshold, 0.0) for d in details]
