@@ -5,7 +5,8 @@ The detail coefficients of a Daubechies-4 transform are shrunk towards zero by t
 
 Not for the monitor's signals: it helps a full-rate subspace model to the slow poles (error of the 29 ms pole
 68 -> 5 %), but takes away the process disturbance from which the sensor is known: the monitor then finds
-3.6e-4 s for a time constant of 2e-4 s, and a slower sensor looks weaker (``benchmarks/throttle.py --part 7``).
+3.6e-4 s for a time constant of 2e-4 s, and a slower sensor looks weaker (``benchmarks/throttle.py --part
+7``).
 """
 
 from __future__ import annotations
