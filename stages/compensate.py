@@ -79,7 +79,11 @@ class Compensate:
     def step(self, state: CompensateState, block: Log, /) -> tuple[CompensateState, Log]:
         group = block.groups[SIGNALS]
         frame = block.groups[ANALYSIS].frame
-        rows = [state.row, *frame.select(TIME, *sorted(self.needs)).to_dicts()]
+        rows = [state.row]
+        for row in frame.select(
+            TIME, *sorted(self.needs)
+        ).to_dicts():  # what a window does not know, it keeps
+            rows.append({**rows[-1], **{k: v for k, v in row.items() if v is not None}})
         time = group.time
         y = group.frame[self.signal].cast(pl.Float64).fill_null(np.nan).to_numpy()
         edges = [0, *np.searchsorted(time, frame[TIME].to_numpy() - 1e-9).tolist(), time.size]

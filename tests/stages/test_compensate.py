@@ -16,6 +16,7 @@ from stages.stage import ANALYSIS, transform
 Array = NDArray[np.float64]
 STAGE = Compensate(signal="y", sensor="s", faults={"weak": "gain", "slow": "time_constant"}, max_gap_s=0.05)
 DT, TAU = 0.01, 0.02
+WINDOWED = ("indicator.tau_s", "sigma.tau_s", "z.tau_s", "noise_sd")  # null without a fit
 
 
 def block(
@@ -101,3 +102,14 @@ def test_blocks_gaps_and_missing_readings() -> None:
 def test_wrong_settings_are_told(settings: dict[str, object]) -> None:
     with pytest.raises(RecipeError, match="confidence between 0 and 1"):
         Compensate(**{"signal": "y", "sensor": "s", "faults": {"weak": "gain"}} | settings)  # type: ignore[arg-type]
+
+
+def test_a_window_that_could_not_be_fitted_keeps_what_was_known() -> None:
+    x = np.random.default_rng(3).normal(size=500)
+    log = block(sensor(x, 2 * TAU), "slow", 1.0)
+    windows = log.groups[ANALYSIS]
+    unknown = [pl.when(pl.col("time") > 2.5).then(None).otherwise(c).alias(c) for c in WINDOWED]
+    bare = Group(ANALYSIS, windows.frame.with_columns(unknown))
+    np.testing.assert_array_equal(
+        corrected(Log("bare", {**log.groups, ANALYSIS: bare}))[0], corrected(log)[0]
+    )
