@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.subspace import StateSpace, identify, lag_gram
+from stages.statespace import StateSpace
+from stages.subspace import identify, lag_gram
 
 Array = NDArray[np.float64]
 DT = 0.08

@@ -12,7 +12,8 @@ from ingest.errors import LogError
 from ingest.log import Log
 from stages.align import Align
 from stages.stage import columns, transform
-from stages.subspace import Identified, LagGram, Method, StateSpace, identify, lag_gram
+from stages.statespace import StateSpace
+from stages.subspace import Identified, LagGram, Method, identify, lag_gram
 
 Array = NDArray[np.float64]
 GAP_STEPS = 1.5

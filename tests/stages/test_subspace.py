@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from ingest.errors import LogError
-from stages.subspace import METHODS, Method, StateSpace, identify, lag_gram, order_criterion
+from stages.statespace import StateSpace
+from stages.subspace import METHODS, Method, identify, lag_gram, order_criterion
 
 Array = NDArray[np.float64]
 
