@@ -79,7 +79,7 @@ class Compensate:
     def step(self, state: CompensateState, block: Log, /) -> tuple[CompensateState, Log]:
         group = block.groups[SIGNALS]
         frame = block.groups[ANALYSIS].frame
-        rows = [state.row]
+        rows: list[Mapping[str, float]] = [state.row]
         for row in frame.select(
             TIME, *sorted(self.needs)
         ).to_dicts():  # what a window does not know, it keeps
