@@ -80,10 +80,9 @@ class Compensate:
         group = block.groups[SIGNALS]
         frame = block.groups[ANALYSIS].frame
         rows: list[Mapping[str, float]] = [state.row]
-        for row in frame.select(
-            TIME, *sorted(self.needs)
-        ).to_dicts():  # what a window does not know, it keeps
-            rows.append({**rows[-1], **{k: v for k, v in row.items() if v is not None}})
+        for window in frame.select(TIME, *sorted(self.needs)).to_dicts():
+            known = {k: v for k, v in window.items() if v is not None}
+            rows.append({**rows[-1], **known})  # one that could not be fitted keeps the rest
         time = group.time
         y = group.frame[self.signal].cast(pl.Float64).fill_null(np.nan).to_numpy()
         edges = [0, *np.searchsorted(time, frame[TIME].to_numpy() - 1e-9).tolist(), time.size]
