@@ -39,12 +39,16 @@ class Belief:
 
 @dataclass(frozen=True, kw_only=True)
 class Decision:
-    """``forgetting`` by window; ``change_sd``: s; ``floor``: changes smaller than this may be the model's."""
+    """``forgetting`` by window; ``change_sd``: s; ``floor``: changes smaller than this may be the model's.
+
+    Windows that overlap tell the same twice: with new samples only in a ``share`` of each, that share of its
+    information counts, so that M is right for averages over many windows."""
 
     templates: tuple[Template, ...]
     forgetting: float
     change_sd: float
     floor: float
+    share: float = 1.0
 
     def start(self) -> Belief:
         count = len(self.templates)
@@ -57,15 +61,18 @@ class Decision:
 
     def add(self, belief: Belief, d: Array, covariance: Array) -> Belief:
         """After one more window that measured the change d (k,) with ``covariance``."""
-        k, g = len(d), self.forgetting
-        information = _inverse(covariance + self.floor**2 * np.eye(k))
+        k, g = len(d), 1.0 - (1.0 - self.forgetting) ** self.share
+        information = self.share * _inverse(covariance + self.floor**2 * np.eye(k))
         splits = [t.split(d, information) for t in self.templates]
         weights = np.array([[s.weight, s.weight] for s in splits])
         return Belief(
             whole=belief.whole.add(d, information, g),
             rests=tuple(a.add(s.rest, s.information, g) for a, s in zip(belief.rests, splits, strict=True)),
             sizes=belief.sizes * np.array([1.0 - g, (1.0 - g) ** 2]) + weights * np.array([g, g * g]),
-            trends=tuple(t.follow(s.eta, 1.0 / s.weight) for t, s in zip(belief.trends, splits, strict=True)),
+            trends=tuple(
+                t.follow(s.eta, 1.0 / s.weight, self.share)
+                for t, s in zip(belief.trends, splits, strict=True)
+            ),
             windows=belief.windows + 1,
         )
 

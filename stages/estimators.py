@@ -20,17 +20,17 @@ Array = NDArray[np.float64]
 EstimatorName = Literal["innovations", "printed"]
 TRIED_COLOUR = 0.8
 CLEAR = 40.0  # of minus twice the log-likelihood: coloured noise must earn its two parameters
+JUMP = 3.0  # of its standard deviation, of ln tau from one window to the next
 SPLIT_SD = 0.3  # how well the trends divide a drift of b, as a share of it
 FIRST_SD = 0.2  # the most that an indicator's logarithm may be in doubt for a first window to be a start
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Memory:
-    """What a window leaves to the next: its parameters, the state after it, and the trends of ``ln k_s``
-    and of ``ln(b / a_1)``, and the colour of the disturbance."""
+    """What a window leaves to the next: its parameters, the trends of ``ln k_s`` and of ``ln(b / a_1)``, and
+    the colour of the disturbance."""
 
     parameters: Array
-    state: Array
     gain: Trend
     product: Trend
     colour: float = 0.0
@@ -38,13 +38,14 @@ class Memory:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Estimate:
-    """``x``: logarithms (n + 3,); ``covariance``, ``noise_sd`` (of the measurement), ``memory``: None where
-    the estimator has none."""
+    """``x``: logarithms (n + 3,); ``covariance``, ``noise_sd`` (of the measurement), ``memory``, and
+    ``state`` after the window: None where the estimator has none."""
 
     x: Array
     covariance: Array | None
     noise_sd: float | None = None
     memory: Memory | None = None
+    state: Array | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,22 +62,23 @@ class Innovations:
     structure: Structure
     start: TwoRate
     walk: float = 0.2
+    share: float = 1.0  # of a window, that the one before does not have
 
-    def estimate(self, u: Array, y: Array, memory: Memory | None, adjoins: bool) -> Estimate | None:
-        """None where the window cannot be fitted, or a first one says too little; ``adjoins``: the window
-        begins where the one that is remembered ended."""
+    def estimate(self, u: Array, y: Array, memory: Memory | None, state: Array | None) -> Estimate | None:
+        """None where the window cannot be fitted, or a first one says too little; ``state``: that after an
+        earlier window that ended where this one begins, if there was one."""
         structure = self._drifting(memory)
-        if memory is None:
-            found = self._first(u, y)
-        else:
-            found = self._next(structure, u, y, memory, memory.state if adjoins else None)
+        found = self._first(u, y) if memory is None else self._next(structure, u, y, memory, state)
         if found is None:
             return None
         x, covariance = found.indicators
         known = np.isfinite(x).all() and np.isfinite(covariance).all()
         if not (known and self._plausible(x, covariance, memory)):
             return None
-        return Estimate(x=x, covariance=covariance, noise_sd=found.noise[1], memory=_remember(memory, found))
+        return Estimate(
+            x=x, covariance=covariance, noise_sd=found.noise[1], memory=self._remember(memory, found),
+            state=found.state,
+        )  # fmt: skip
 
     def _first(self, u: Array, y: Array) -> Fit | None:
         """With white disturbance, or with the coloured one that predicts clearly better."""
@@ -110,13 +112,15 @@ class Innovations:
         return min(fits, key=lambda f: f.loss, default=None)
 
     def _next(self, structure: Structure, u: Array, y: Array, memory: Memory, state: Array | None) -> Fit:
-        """From the last window's parameters; and anew, where the subspace model predicts better than that."""
+        """From the last window's parameters; and anew, where the subspace model predicts better than that, or
+        where tau has jumped: then that may be a wrong minimum."""
         last = memory.parameters
         held = np.zeros(last.size)
         held[: structure.plant_order + 2] = self.walk**-2
         fits = [fit(structure, u, y, last, last, np.diag(held), state)]
+        jumped = abs(fits[0].p[0] - last[0]) > JUMP * np.sqrt(fits[0].covariance[0, 0])
         for p in self.start.starts(structure, u, y, last):
-            if structure.loss(p, u, y) + (p - last) @ (held * (p - last)) < fits[0].loss:
+            if jumped or structure.loss(p, u, y) + (p - last) @ (held * (p - last)) < fits[0].loss:
                 near = fit(structure.stiff, u, y, p, last, np.diag(held), state).p
                 fits.append(fit(structure, u, y, near, last, np.diag(held), state))
         return min(fits, key=lambda f: f.loss)
@@ -140,18 +144,17 @@ class Innovations:
         known = memory is not None or np.sqrt(np.diag(covariance).max()) < FIRST_SD
         return bool(np.exp(x[0]) * fastest < 1.0 and known)
 
-
-def _remember(memory: Memory | None, found: Fit) -> Memory:
-    x, covariance = found.indicators
-    measured = (x[1], covariance[1, 1]), (found.p[1], found.covariance[1, 1])
-    if memory is None:
-        gain, product = (Trend.at(float(value), float(v)) for value, v in measured)
-    else:
-        trends = memory.gain, memory.product
-        gain, product = (
-            t.follow(float(value), float(v)) for t, (value, v) in zip(trends, measured, strict=True)
-        )
-    return Memory(parameters=found.p, state=found.state, gain=gain, product=product, colour=found.colour)
+    def _remember(self, memory: Memory | None, found: Fit) -> Memory:
+        x, covariance = found.indicators
+        measured = (float(x[1]), float(covariance[1, 1])), (float(found.p[1]), float(found.covariance[1, 1]))
+        if memory is None:
+            gain, product = (Trend.at(value, v) for value, v in measured)
+        else:
+            gain, product = (
+                t.follow(value, v / self.share, self.share)
+                for t, (value, v) in zip((memory.gain, memory.product), measured, strict=True)
+            )
+        return Memory(parameters=found.p, gain=gain, product=product, colour=found.colour)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -164,7 +167,7 @@ class Printed:
     structure: Structure
     horizon: int
 
-    def estimate(self, u: Array, y: Array, memory: Memory | None, adjoins: bool) -> Estimate | None:
+    def estimate(self, u: Array, y: Array, memory: Memory | None, state: Array | None) -> Estimate | None:
         """None where N4SID finds no stable model of the order."""
         n = self.structure.plant_order
         try:

@@ -32,7 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ingest.physics import zero_order_hold
-from stages.sensitivities import gram_loop
+from stages.sensitivities import gram
 
 Array = NDArray[np.float64]
 STEPS = 12
@@ -97,8 +97,10 @@ class Structure:
         Ad, Bd = zero_order_hold(A, B, dt)
         a = np.exp(-dt / tau)
         units = np.append(unit ** np.arange(n), [1.0, 1.0, 1.0])
-        loop = gram_loop(n, M, self._drifting.size)
-        G, x = loop(b * u, y, Ad, Bd[:, 0], w[: n + 3] * units, a_i, self._drifting, a, self.colour, gamma)
+        unrolled = (0,) * n, (0,) * M, (0,) * self._drifting.size
+        G, x = gram(
+            *unrolled, b * u, y, Ad, Bd[:, 0], w[: n + 3] * units, a_i, self._drifting, a, self.colour, gamma
+        )
         T = np.zeros((len(G), len(G) - 1))  # from columns as simulated to columns of p
         T[[0, n + 2], 0] = 1.0, a * dt / tau
         T[1, 1:3] = 1.0

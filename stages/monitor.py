@@ -47,13 +47,15 @@ LEAST_WINDOWS = 3  # of a reference
 
 @dataclass(frozen=True, eq=False)
 class MonitorState:
-    """Samples of the unfinished window; what the last fitted window left, and when it ended; the windows of
-    the reference so far, and what is held of the faults since it is complete."""
+    """Samples of unfinished windows; what the last fitted window left; ends of the last windows and the
+    states there; the windows of the reference so far, what they say is healthy (None while they are too few),
+    and what is held of the faults since the reference is complete."""
 
     rest: Rest
     memory: Memory | None
-    end: float
-    reference: tuple[Estimate, ...]
+    ends: tuple[tuple[float, Array], ...]
+    windows: tuple[Estimate, ...]
+    reference: Reference | None
     belief: Belief
 
 
@@ -64,8 +66,8 @@ class Monitor:
 
     ``faults`` maps a fault to the factors by which it changes indicators, see
     :class:`stages.templates.Template`. ``drifting``: coefficients a_i that may drift inside a window.
-    ``floor``: changes smaller than this are not told from the model's own imperfection. ``estimator =
-    "printed"``: Chapter III as printed, to compare.
+    ``floor``: changes smaller than this are not told from the model's own imperfection. ``step_s``: from one
+    window's start to the next; 0: they adjoin. ``estimator = "printed"``: Chapter III as printed, to compare.
 
     Raises:
         RecipeError: settings that are out of range, or a template that does not fit.
@@ -84,6 +86,7 @@ class Monitor:
     faults: Mapping[str, Mapping[str, str]]
     drifting: tuple[int, ...] = ()
     window_s: float = 1.0
+    step_s: float = 0.0
     decimation: int = 10
     horizon: int = 20
     reference_s: float = 15.0
@@ -109,6 +112,9 @@ class Monitor:
             f"window_s = {self.window_s:g} is {samples} samples; decimation and horizon need {least}": (
                 samples >= least
             ),
+            f"step_s = {self.step_s:g} must be 0, or a sample at least and window_s at most": (
+                self.step_s == 0.0 or 1.0 / self.rate_hz <= self.step_s <= self.window_s
+            ),
             f"drifting = {list(self.drifting)} must be among {list(coefficients)}": (
                 set(self.drifting) <= set(coefficients)
             ),
@@ -129,12 +135,14 @@ class Monitor:
             for f, factors in self.faults.items()
         )
         return Decision(
-            templates=templates, forgetting=self.forgetting, change_sd=self.change_sd, floor=self.floor
-        )
+            templates=templates, forgetting=self.forgetting, change_sd=self.change_sd, floor=self.floor,
+            share=self._windows.share,
+        )  # fmt: skip
 
     @cached_property
     def _windows(self) -> Windows:
-        return Windows(length=round(self.window_s * self.rate_hz), dt=1.0 / self.rate_hz)
+        length, hop = (round(s * self.rate_hz) for s in (self.window_s, self.step_s or self.window_s))
+        return Windows(length=length, hop=hop, dt=1.0 / self.rate_hz)
 
     @cached_property
     def _estimator(self) -> Innovations | Printed:
@@ -142,7 +150,7 @@ class Monitor:
         if self.estimator == "printed":
             return Printed(structure=structure, horizon=self.horizon)
         start = TwoRate(decimation=self.decimation, horizon=self.horizon)
-        return Innovations(structure=structure, start=start)
+        return Innovations(structure=structure, start=start, share=self._windows.share)
 
     @property
     def needs(self) -> set[str]:
@@ -156,14 +164,13 @@ class Monitor:
 
     def fit(self, blocks: Sequence[Log], before: Sequence[Sequence[Stage]] = (), /) -> Self:
         """The reference from fault-free logs: every usable window counts."""
-        endless = replace(self, reference_s=np.inf, learned={})
-        windows = [e for block in blocks for e in endless.step(endless.start(), block)[0].reference]
-        if len(windows) < LEAST_WINDOWS:
+        windows = tuple(e for block in blocks for _, e in self._fitted(self.start(), block)[1] if e)
+        found = self._healthy(windows)
+        if found is None:
             raise LogError(
                 f"monitor: {len(windows)} usable windows in the fault-free logs; expected {LEAST_WINDOWS} or "
-                "more"
+                "more that do not overlap"
             )
-        found = Reference.of(windows)
         return replace(
             self, learned={"mean": found.mean, "covariance": found.covariance, "spread": found.spread}
         )
@@ -172,26 +179,45 @@ class Monitor:
         return self.fit(blocks)
 
     def start(self) -> MonitorState:
-        return MonitorState(self._windows.start(2), None, -np.inf, (), self._decision.start())
+        learned = Reference(**self.learned) if self.learned else None
+        return MonitorState(self._windows.start(2), None, (), (), learned, self._decision.start())
 
     def step(self, state: MonitorState, block: Log, /) -> tuple[MonitorState, Log]:
-        group = block.groups[ANALYSIS]
-        values = columns(block, [self.input, self.output])
-        rest, windows = self._windows.cut(
-            state.rest, group.time, np.column_stack([values[self.input], values[self.output]])
-        )
-        state, rows = replace(state, rest=rest), []
-        for end, window in windows:
-            u, y = np.ascontiguousarray(window.T)
-            adjoins = abs(end - self.window_s - state.end) < 0.5 / self.rate_hz
-            estimate = self._estimator.estimate(u, y, state.memory, adjoins)
-            state, row = self._judge(state, estimate, end)
+        group, rows = block.groups[ANALYSIS], []
+        state, estimates = self._fitted(state, block)
+        for end, estimate in estimates:
+            state, row = self._judge(state, estimate)
             rows.append({TIME: end, **row})
         frame = pl.DataFrame(rows, schema=self._schema)
         units = self._units(group.signals[self.output].unit)
         signals = {n: Signal(name=n, unit=units.get(n, "1")) for n in frame.columns[1:]}
         groups = {ANALYSIS: Group(ANALYSIS, frame, signals), SIGNALS: replace(group, name=SIGNALS)}
         return state, replace(block, groups=groups)
+
+    def _fitted(
+        self, state: MonitorState, block: Log
+    ) -> tuple[MonitorState, list[tuple[float, Estimate | None]]]:
+        """The state after the windows that the block completes, and end and estimate of each."""
+        values = columns(block, [self.input, self.output])
+        z = np.column_stack([values[self.input], values[self.output]])
+        rest, windows = self._windows.cut(state.rest, block.groups[ANALYSIS].time, z)
+        memory, ends, estimates = state.memory, state.ends, []
+        for end, window in windows:
+            u, y = np.ascontiguousarray(window.T)
+            begin, apart = end - self.window_s, 0.5 / self.rate_hz
+            before = next((x for e, x in ends if abs(e - begin) < apart), None)
+            estimate = self._estimator.estimate(u, y, memory, before)
+            estimates.append((end, estimate))
+            if estimate is not None:
+                memory = estimate.memory
+            if estimate is not None and estimate.state is not None:
+                ends = (*((e, x) for e, x in ends if e > begin + apart), (end, estimate.state))
+        return replace(state, rest=rest, memory=memory, ends=ends), estimates
+
+    def _healthy(self, windows: tuple[Estimate, ...]) -> Reference | None:
+        """None where the windows are too few."""
+        share = self._windows.share
+        return Reference.of(windows, share) if len(windows) * share >= LEAST_WINDOWS else None
 
     @cached_property
     def _schema(self) -> dict[str, Any]:
@@ -211,28 +237,20 @@ class Monitor:
         units = {tau: "s", k: output, **{a: f"1/s^{i}" for i, a in enumerate(coefficients, start=1)}}
         return {NOISE: output, **{kind + n: u for n, u in units.items() for kind in (INDICATOR, SIGMA)}}
 
-    def _judge(
-        self, state: MonitorState, estimate: Estimate | None, end: float
-    ) -> tuple[MonitorState, dict[str, Any]]:
-        """The state after the window that ended at ``end``, and its row."""
-        complete = bool(self.learned) or len(state.reference) >= self.reference_s / self.window_s
+    def _judge(self, state: MonitorState, estimate: Estimate | None) -> tuple[MonitorState, dict[str, Any]]:
+        """The state after a window, and its row."""
+        step_s = self.step_s or self.window_s
+        complete = bool(self.learned) or len(state.windows) * step_s >= self.reference_s
         row: dict[str, Any] = {}
         if estimate is not None:
-            reference = self._reference(state.reference)
-            row = self._indicator_columns(estimate, reference)
-            state = replace(state, memory=estimate.memory, end=end)
+            row = self._indicator_columns(estimate, state.reference)
             if not complete:
-                state = replace(state, reference=(*state.reference, estimate))
-            elif reference is not None:
-                belief = self._decision.add(state.belief, *reference.change(estimate))
+                windows = (*state.windows, estimate)
+                state = replace(state, windows=windows, reference=self._healthy(windows))
+            elif state.reference is not None:
+                belief = self._decision.add(state.belief, *state.reference.change(estimate))
                 state = replace(state, belief=belief)
         return state, row | self._fault_columns(state)
-
-    def _reference(self, windows: tuple[Estimate, ...]) -> Reference | None:
-        """What was learned, else what the log has shown so far; None where that is too little."""
-        if self.learned:
-            return Reference(**self.learned)
-        return Reference.of(windows) if len(windows) >= LEAST_WINDOWS else None
 
     def _indicator_columns(self, estimate: Estimate, reference: Reference | None) -> dict[str, Any]:
         """Values, and sigma and z such that ``value - z sigma`` is the healthy value."""
@@ -251,7 +269,7 @@ class Monitor:
     def _fault_columns(self, state: MonitorState) -> dict[str, Any]:
         """Alarm, evidence, probabilities, and the faults' sizes at the window's end."""
         faults = [*self.faults, UNKNOWN]
-        reference = self._reference(state.reference)
+        reference = state.reference
         if state.belief.windows == 0 or reference is None:
             return {DETECTION: 0, **{kind + f: 0.0 for f in faults for kind in (EVIDENCE, PROBABILITY)}}
         evidence = self._decision.evidence(state.belief, reference.covariance)

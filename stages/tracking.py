@@ -35,20 +35,21 @@ class Reference:
     spread: Array
 
     @classmethod
-    def of(cls, windows: Sequence[Estimate]) -> Self:
+    def of(cls, windows: Sequence[Estimate], share: float = 1.0) -> Self:
         """The information-weighted mean of all windows but outliers; medians and median absolute deviations
-        where nothing is known of the covariance."""
+        where nothing is known of the covariance. ``share``: of a window's samples, those that count for it
+        alone."""
         x = np.array([e.x for e in windows])
         known = [e.covariance for e in windows if e.covariance is not None]
         if len(known) < len(windows):
             mean = np.median(x, axis=0)
             spread = np.diag((1.4826 * np.median(np.abs(x - mean), axis=0)) ** 2)
-            return cls(mean=mean, covariance=spread * np.pi / 2 / len(x), spread=spread)
+            return cls(mean=mean, covariance=spread * np.pi / 2 / (share * len(x)), spread=spread)
         P, middle = np.array(known), np.median(x, axis=0)
         doubt = P + FAR_SD**2 * np.eye(len(middle))
         apart = np.array([_squares(d, S) for d, S in zip(x - middle, doubt, strict=True)])
         inside = apart <= max(chdtri(x.shape[1], FAR), float(np.median(apart)))
-        information = np.linalg.inv(P[inside])
+        information = share * np.linalg.inv(P[inside])
         covariance = np.linalg.inv(information.sum(axis=0))
         mean = covariance @ np.einsum("tij,tj->i", information, x[inside])
         return cls(mean=mean, covariance=covariance, spread=np.full_like(covariance, np.nan))

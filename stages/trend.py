@@ -31,11 +31,11 @@ class Trend:
         """A level at rest."""
         return cls(state=np.array([level, 0.0]), covariance=np.diag([variance, 0.0]))
 
-    def follow(self, value: float, variance: float) -> Self:
-        """After one more window that measured ``value``."""
-        F = np.array([[1.0, 1.0], [0.0, 1.0]])
+    def follow(self, value: float, variance: float, elapsed: float = 1.0) -> Self:
+        """After one more measurement of ``value``, so many windows after the last."""
+        F = np.array([[1.0, elapsed], [0.0, 1.0]])
         x = F @ self.state
-        P = F @ self.covariance @ F.T + np.diag([LEVEL_SD**2, SLOPE_SD**2])
+        P = F @ self.covariance @ F.T + elapsed * np.diag([LEVEL_SD**2, SLOPE_SD**2])
         gain = P[:, 0] / (P[0, 0] + variance)
         return type(self)(state=x + gain * (value - x[0]), covariance=P - np.outer(gain, P[0]))
 

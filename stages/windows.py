@@ -1,7 +1,8 @@
 """Windows: an analysis group cut into stretches of equal length without a gap, however the log is cut.
 
-Windows follow one another from the first sample on. A gap, a missing value or a step of another length ends
-the stretch; the next window starts after it, and what was left of the old one is dropped."""
+Windows start every ``hop`` samples from the first on, and overlap where that is less than their length. A
+gap, a missing value or a step of another length ends the stretch; the next window starts after it, and what
+was left of the old one is dropped."""
 
 from __future__ import annotations
 
@@ -28,10 +29,16 @@ class Rest:
 
 @dataclass(frozen=True, kw_only=True)
 class Windows:
-    """``length`` samples, ``dt`` (s) apart."""
+    """``length`` samples, ``dt`` (s) apart; a window starts ``hop`` samples after the one before."""
 
     length: int
+    hop: int
     dt: float
+
+    @property
+    def share(self) -> float:
+        """Of a window's samples, those that the one before does not have."""
+        return self.hop / self.length
 
     def start(self, channels: int) -> Rest:
         return Rest(np.empty(0), np.empty((0, channels)))
@@ -56,10 +63,10 @@ class Windows:
         edges = [0, *breaks.tolist(), time.size]
         windows, rest = [], Rest(time[:0], values[:0])
         for first, end in pairwise(edges):
-            whole = (end - first) // self.length
-            for k in range(whole):
-                part = slice(first + k * self.length, first + (k + 1) * self.length)
-                windows.append((float(time[part.stop - 1]) + self.dt, values[part]))
+            while end - first >= self.length:
+                last = first + self.length
+                windows.append((float(time[last - 1]) + self.dt, values[first:last]))
+                first += self.hop
             if end == time.size:
-                rest = Rest(time[first + whole * self.length :], values[first + whole * self.length :])
+                rest = Rest(time[first:], values[first:])
         return rest, windows

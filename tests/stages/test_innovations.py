@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -159,3 +163,24 @@ def test_coloured_disturbance_is_fitted_with_its_pole() -> None:
     k, n = np.mean([f.noise for f in found], axis=0)
     assert n == pytest.approx(P.sd_w_n, rel=0.2)
     assert k == pytest.approx(P.k_TPS * P.sd_w_p * np.sqrt(1 - phi**2), rel=0.15)
+
+
+def test_compiled_loops_of_other_orders_are_not_taken_for_each_other(tmp_path: Path) -> None:
+    """One compiled, the other compiled beside the first from the cache, then both from the cache."""
+    code = (
+        "import sys, numpy as np; from stages.innovations import Structure, pack\n"
+        "for n in map(int, sys.argv[1:]):\n"
+        "    s, a = Structure(plant_order=n, dt=0.01), np.poly(-np.arange(1.0, n + 1.0))[1:]\n"
+        "    z = np.random.default_rng(0).normal(size=(2, 99))\n"
+        "    print(s.gram(pack(0.02, 1.0, a, np.array([-0.1])), np.zeros(n + 3), *z)[0].trace())"
+    )
+    env = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path), "NUMBA_OPT": "1"}
+
+    def run(*orders: str) -> list[str]:
+        command = [sys.executable, "-c", code, *orders]
+        done = subprocess.run(command, env=env, check=True, capture_output=True, text=True)
+        return done.stdout.splitlines()
+
+    first, both = run("2"), run("2", "1")
+    assert run("2", "1") == both
+    assert both[:1] == first

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -78,6 +79,40 @@ def test_each_fault_is_named(fault: str) -> None:
     assert abs(size - magnitude) < 4 * sd + 0.01
 
 
+def test_moving_windows_say_the_same_more_often() -> None:
+    """A quarter of each window is new: four times the rows, and no more evidence than there is."""
+    log = simulate_throttle(
+        seed=21, duration_s=18.0, faults=[Fault(name="tps_gain", magnitude=-0.2, onset_s=9.0, ramp_s=9.0)]
+    )
+    adjoining, moving = (rows(log, reference_s=8.0, step_s=step_s) for step_s in (0.0, 0.25))
+    assert moving["time"].to_list() == pytest.approx(np.arange(1.0, 18.01, 0.25).tolist())
+    assert named(moving) == named(adjoining) == "tps_gain"
+    assert moving.filter(pl.col("time") <= 9.5)["detection"].sum() == 0
+    assert 0.6 < moving.filter(pl.col("time") <= 9.0).select("^z.*$").drop_nulls().to_numpy().std() < 1.4
+    same = moving.gather_every(4)
+    for name in ("indicator.tau_tps", "indicator.a2"):
+        np.testing.assert_allclose(same[name], adjoining[name], rtol=0.1)
+    late = adjoining["time"] > 14.0
+    ratio = (same["evidence.tps_gain"] / adjoining["evidence.tps_gain"]).filter(late)
+    assert ratio.min() > 0.75
+    assert ratio.max() < 1.35
+    assert moving["size.tps_gain"][-1] == pytest.approx(-0.2, abs=0.02)
+
+
+def test_a_wrong_minimum_is_left() -> None:
+    """A start with a sensor as slow as a plant pole ends in the right place all the same."""
+    log = simulate_throttle(seed=3, duration_s=2.0)
+    y, u = log.values("theta_ang"), log.values("e_a")
+    estimator = Monitor(**SETTINGS)._estimator
+    first = estimator.estimate(u[:10_000], y[:10_000], None, None)
+    assert first is not None
+    assert first.memory is not None
+    off = first.memory.parameters + np.array([0.3, 0.0, 0.0, 0.0, 0.0, 0.0])
+    after = estimator.estimate(u[10_000:], y[10_000:], replace(first.memory, parameters=off), first.state)
+    assert after is not None
+    assert after.x[0] == pytest.approx(np.log(Throttle().tau_TPS), abs=0.2)
+
+
 @pytest.mark.parametrize(
     ("changes", "expected"),
     [
@@ -143,6 +178,7 @@ def test_as_printed_a_slower_sensor_looks_weaker_too() -> None:
     [
         ({"plant_order": 0}, "plant_order = 0"),
         ({"reference_s": 1.0}, "three|at least 3 windows"),
+        ({"step_s": 2.0}, "step_s = 2 must be 0, or"),
         ({"window_s": 0.05}, "window_s = 0.05 is 500 samples"),
         ({"drifting": (4,)}, r"drifting = \[4\]"),
         ({"forgetting": 0.0}, "forgetting = 0"),
