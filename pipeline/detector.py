@@ -142,6 +142,16 @@ def load_detector(folder: Path, key: str) -> Detector:
         raise StoreError(f"detector arrays {path} cannot be read: {error}; fit the detector again") from None
     if arrays_sha256(arrays) != record["arrays_sha256"]:
         raise StoreError(f"detector arrays {path} are not those of its record; fit the detector again")
+    return restore(record, arrays)
+
+
+def restore(record: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> Detector:
+    """A detector from its record and :attr:`Detector.arrays`.
+
+    Raises:
+        StoreError: this version does not take its recipe, or a stage has another version now.
+    """
+    key = record["key"]
     try:
         recipe = build_recipe(record["recipe"], record["definition"])
     except RecipeError as error:

@@ -15,6 +15,8 @@ from pipeline.digest import digest, settings
 
 PACKAGES = ("dynoscope", "mcap", "numba", "numpy", "polars", "pyarrow", "rerun-sdk", "scipy")
 
+FACTS = ("file", "sha256", "format", "path", "salvaged", "vehicle", "start_time")
+
 
 def run_key(sha256: str, detector: Detector, options: dict[str, Any]) -> str:
     """Content key of a run: same log, detector, options and program version, same outputs."""
@@ -38,7 +40,7 @@ def build_manifest(log: Log, detector: Detector, key: str, times: dict[str, floa
         parent = output
     return {
         "key": key,
-        "log": {k: log.facts[k] for k in ("file", "sha256", "format", "path", "salvaged") if k in log.facts},
+        "log": {k: log.facts[k] for k in FACTS if k in log.facts} | {"duration_s": duration(log)},
         "detector": {k: detector.record[k] for k in ("key", "recipe", "training", "calibration", "notes")},
         "steps": steps,
         "packages": packages(),
@@ -46,6 +48,12 @@ def build_manifest(log: Log, detector: Detector, key: str, times: dict[str, floa
         "source": source_state(),
         "times": times,
     }
+
+
+def duration(log: Log) -> float:
+    """Seconds from the first sample to the last."""
+    start, end = log.span
+    return round(end - start, 6)
 
 
 @cache

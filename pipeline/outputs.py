@@ -14,6 +14,7 @@ import polars as pl
 
 from ingest.errors import LogError
 from ingest.log import TIME, Group, Log, Signal
+from pipeline.files import owner
 from stages.compensate import CORRECTED, CORRECTED_SD
 from stages.monitor import INDICATOR
 from stages.residuals import MODEL_SD, RESIDUAL, SIGMA
@@ -38,7 +39,7 @@ def write_run(diagnosis: Diagnosis, folder: Path, manifest: dict[str, Any], *, t
     if folder.exists() and not (folder / MANIFEST).is_file():
         raise LogError(f"{folder} exists and is not a run's folder; choose another --out")
     folder.parent.mkdir(parents=True, exist_ok=True)
-    draft = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
+    draft = Path(tempfile.mkdtemp(prefix=f".{folder.name}.{owner()}.", dir=folder.parent))
     try:
         diagnosis.samples.write_parquet(draft / SAMPLES)
         if diagnosis.signals is not None:

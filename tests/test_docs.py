@@ -10,9 +10,9 @@ from typing import Any
 
 import pytest
 
-from pipeline.batch import SUMMARY_SCHEMA
 from pipeline.cli import COMMANDS, build_parser
 from pipeline.recipe import build_recipe
+from pipeline.summary import SUMMARY_SCHEMA
 from stages import STAGES
 
 ROOT = Path(__file__).parents[1]

@@ -20,19 +20,30 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--map", type=Path, help="TOML file that names and converts the logs' channels")
     parser.add_argument("--no-timeline", action="store_true", help="write no Rerun recordings")
     parser.add_argument("--force", action="store_true", help="diagnose again what is done")
+    parser.add_argument("--only-failed", action="store_true", help="only logs that failed before")
+    parser.add_argument("--dry-run", action="store_true", help="say what would be done, and do nothing")
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--workers", type=int, default=1, metavar="N", help="processes, default 1")
+    where.add_argument(
+        "--scheduler", metavar="ADDRESS", help="a dask cluster's scheduler instead, such as tcp://host:8786"
+    )
     parser.add_argument("--json", action="store_true", help="print the summary as JSON")
 
 
 def run(args: argparse.Namespace) -> int:
+    from ingest.errors import DynoscopeError
     from ingest.files import find_logs
     from ingest.maps import load_map
     from pipeline import batch
-    from pipeline.console import Problems, print_json, progress, talk
+    from pipeline.console import Problems, print_json, print_table, progress, talk
     from pipeline.detector import check_recipe, unfitted_detector
     from pipeline.recipe import load_recipe
     from pipeline.store import Store
 
     problems = Problems()
+    with problems:
+        if args.workers < 1:
+            raise DynoscopeError(f"--workers {args.workers}: expected 1 or more")
     with problems:
         recipe = load_recipe(args.recipe)
     recipe_is_right = not problems.errors
@@ -48,8 +59,16 @@ def run(args: argparse.Namespace) -> int:
         paths = find_logs(args.logs)
     problems.raise_any()
     options = batch.Options(
-        timeline=not args.no_timeline, force=args.force, name_map=args.map, debug=args.debug
-    )
+        timeline=not args.no_timeline, force=args.force, only_failed=args.only_failed, name_map=args.map,
+        workers=args.workers, scheduler=args.scheduler, debug=args.debug,
+    )  # fmt: skip
+    if args.dry_run:
+        intents = [{"log": n, "would": w} for n, w in batch.to_do(paths, detector, args.out, options)]
+        if args.json:
+            print_json(intents)
+        else:
+            print_table(intents, {"log": "log", "would": "would"})
+        return 0
     with progress("diagnosing", len(paths)) as step:
         summary = batch.run(paths, detector, args.out, options, lambda log, row: step(describe(log, row)))
     talk(f"results in {args.out}")

@@ -15,8 +15,9 @@ from ingest import write_log
 from ingest.errors import LogError
 from ingest.log import Log
 from pipeline import diagnose, run
-from pipeline.batch import SUMMARY_SCHEMA, Options
+from pipeline.batch import Options
 from pipeline.detector import Detector
+from pipeline.summary import SUMMARY_SCHEMA
 
 PLAIN = Options(timeline=False)
 
@@ -108,7 +109,8 @@ def test_one_bad_log_does_not_stop_the_rest(logs: Path, detector: Detector, tmp_
     assert nowhere["reason"] == "nowhere.mcap: there is no such file"
     assert "has no signal 'p_" in other["reason"]
     assert ok["fault"] == "maf_gain"
-    assert {p.name for p in (tmp_path / "out").iterdir()} == {"faulty", "summary.csv", "summary.parquet"}
+    files = {"summary.csv", "summary.parquet", "fleet.csv", "vehicles.json"}
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {"faulty", *files}
 
 
 @pytest.mark.parametrize(
@@ -123,7 +125,7 @@ def test_whatever_happens_to_one_log_the_rest_is_done(
             raise error
         return diagnose(log, *args, **settings)
 
-    monkeypatch.setattr("pipeline.batch.diagnose", fails_once)
+    monkeypatch.setattr("pipeline.task.diagnose", fails_once)
     summary = run([logs / "healthy1.parquet", logs / "faulty.parquet"], detector, tmp_path, PLAIN)
     assert summary["status"].to_list() == ["failed", "ok"]
     assert type(error).__name__ in summary["reason"][0]

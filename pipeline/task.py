@@ -1,0 +1,131 @@
+"""One log of a batch: from its file to its folder, in whatever process it is done.
+
+A task carries all it needs, its detector and map too. What goes wrong with a log becomes its row of the
+summary; what it has written by then is taken away.
+"""
+
+from __future__ import annotations
+
+import json
+import pickle
+import time
+import traceback
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from ingest import read_log
+from ingest.errors import DynoscopeError, LogError
+from ingest.files import sha256
+from ingest.maps import NameMap
+from ingest.report import quality, with_quality
+from pipeline.detector import Detector, restore
+from pipeline.diagnosing import diagnose
+from pipeline.manifest import build_manifest, run_key
+from pipeline.outputs import ANNOTATED, MANIFEST, SAMPLES, TIMELINE, VERDICT, write_run
+from pipeline.summary import Row, verdict_row
+
+
+@dataclass(frozen=True, kw_only=True)
+class Task:
+    """A log to diagnose into ``folder``, which gets its ``name``.
+
+    ``detector`` is what :func:`pack` made of one, unpacked once in a process. ``vehicle``: whose log it is
+    where the log itself does not know.
+    """
+
+    path: Path
+    name: str
+    folder: Path
+    detector: bytes
+    name_map: NameMap | None = None
+    map_sha256: str | None = None
+    vehicle: str | None = None
+    timeline: bool = True
+    force: bool = False
+    debug: bool = False  # show the traceback of a log that failed
+
+
+def pack(detector: Detector) -> bytes:
+    """``detector`` as bytes for :class:`Task`: its record and arrays, no code."""
+    return pickle.dumps((dict(detector.record), detector.arrays))
+
+
+@lru_cache(4)
+def _unpacked(packed: bytes) -> Detector:
+    return restore(*pickle.loads(packed))
+
+
+def run_task(task: Task) -> Row:
+    """Diagnose a log unless that has been done; its row of the summary, whatever happens."""
+    detector = _unpacked(task.detector)
+    try:
+        row = _diagnosed(task, detector)
+    except Exception as error:  # whatever it is, the other logs are not to suffer
+        if task.debug:
+            traceback.print_exception(error)
+        row = failure(task, error)
+    return row | {"recipe": detector.recipe.name, "detector": detector.key}
+
+
+def failure(task: Task, error: Exception) -> Row:
+    """The row of a log that failed; it says nothing of where the log lay."""
+    reason = str(error) if isinstance(error, DynoscopeError) else f"{type(error).__name__}: {error}"
+    reason = reason.replace(str(task.path), task.path.name)
+    return {"log": task.name, "status": "failed", "reason": reason, "vehicle": task.vehicle}
+
+
+def done(task: Task) -> bool:
+    """Whether the log has been diagnosed by the same detector, and nothing is missing."""
+    return (
+        task.path.is_file()
+        and _row(task, _key(task, sha256(task.path), _unpacked(task.detector))) is not None
+    )
+
+
+def _diagnosed(task: Task, detector: Detector) -> Row:
+    began = time.perf_counter()
+    if not task.path.is_file():
+        raise LogError(
+            f"{task.path}: {'a folder without logs' if task.path.is_dir() else 'there is no such file'}"
+        )
+    digest = sha256(task.path)
+    key = _key(task, digest, detector)
+    if not task.force and (row := _row(task, key)):
+        return row
+    log = read_log(task.path, task.name_map)
+    log = replace(log, name=task.name, facts={**log.facts, "sha256": digest, "path": str(task.path)})
+    log = with_quality(log)
+    diagnosis = diagnose(log, detector, quality=quality(log))
+    times: dict[str, float | str] = {
+        "started": datetime.now(UTC).isoformat(timespec="seconds"),
+        "seconds": round(time.perf_counter() - began, 3),
+    }
+    manifest = build_manifest(log, detector, key, times)
+    write_run(diagnosis, task.folder, manifest, timeline=task.timeline)
+    return _complete(task, diagnosis.verdict.to_json(), manifest)
+
+
+def _key(task: Task, digest: str, detector: Detector) -> str:
+    return run_key(digest, detector, {"map": task.map_sha256})
+
+
+def _row(task: Task, key: str) -> Row | None:
+    """The row of a log that has been run with the same ``key``, all its files in place; else None."""
+    files = (SAMPLES, ANNOTATED, *([TIMELINE] if task.timeline else []))
+    try:
+        manifest, verdict = (
+            json.loads((task.folder / file).read_text(encoding="utf-8")) for file in (MANIFEST, VERDICT)
+        )
+        whole = manifest["key"] == key and all((task.folder / file).is_file() for file in files)
+        return _complete(task, verdict, manifest) if whole else None
+    except (OSError, ValueError, TypeError, KeyError, AttributeError):  # damaged: run it again
+        return None
+
+
+def _complete(task: Task, verdict: Mapping[str, Any], manifest: Mapping[str, Any]) -> Row:
+    row = verdict_row(task.name, verdict, manifest)
+    return row | {"vehicle": row["vehicle"] or task.vehicle}
