@@ -24,12 +24,14 @@ class Table(NamedTuple):
     signals: Mapping[str, Signal]
 
 
-def log_of_tables(where: str, name: str, tables: Mapping[str, Table], wanted: TimeMap) -> Log:
+def log_of_tables(
+    where: str, name: str, tables: Mapping[str, Table], wanted: TimeMap, start: int | None = None
+) -> Log:
     """A log with one group per table; columns that are not signals are told in the fact ``notes``.
 
     The time column of each is known by its name or the map; a table without one is left out and told, unless
-    the map gives a rate. Dates of all tables count from the earliest. A name that several tables have becomes
-    ``<table>.<name>``.
+    the map gives a rate. Dates of all tables count from ``start`` in ns, else from the earliest. A name that
+    several tables have becomes ``<table>.<name>``.
 
     Raises:
         LogError: no table has a time column.
@@ -40,8 +42,7 @@ def log_of_tables(where: str, name: str, tables: Mapping[str, Table], wanted: Ti
     if not timed:
         raise no_time(where, [c for t in tables.values() for c in t.frame.columns], wanted)
     notes += [f"group {k!r} was left out: it has no time column" for k in tables if k not in timed]
-    starts = [_earliest(t.frame[c]) for k, t in timed.items() if (c := clocks[k]) is not None]
-    start = min((s for s in starts if s is not None), default=None)
+    start = earliest(timed, wanted) if start is None else start
     groups: dict[str, Group] = {}
     facts: dict[str, Any] = {}
     for key, table in timed.items():
@@ -55,6 +56,13 @@ def log_of_tables(where: str, name: str, tables: Mapping[str, Table], wanted: Ti
         notes += [*facts.pop("notes", ()), *skipped]
         groups[key] = Group(key, frame, signals)
     return Log(name, distinct(groups), (), facts | ({"notes": notes} if notes else {}))
+
+
+def earliest(tables: Mapping[str, Table], wanted: TimeMap) -> int | None:
+    """The earliest date of all tables in ns, None where there are none."""
+    columns = {k: time_column(t.frame.columns, wanted) for k, t in tables.items()}
+    starts = [_earliest(tables[k].frame[c]) for k, c in columns.items() if c is not None]
+    return min((s for s in starts if s is not None), default=None)
 
 
 def distinct(groups: Mapping[str, Group]) -> dict[str, Group]:

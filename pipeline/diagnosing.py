@@ -10,7 +10,6 @@ import polars as pl
 
 from ingest.log import TIME, Log
 from pipeline.detector import Detector
-from pipeline.recipe import Recipe
 from stages.gate import GATE
 from stages.isolate import Isolate
 from stages.monitor import INDICATOR, NOISE, SIGNALS
@@ -25,9 +24,10 @@ from stages.results import (
     STATISTIC,
     Diagnosis,
     OperatingMap,
+    Verdict,
 )  # fmt: skip
 from stages.stage import ANALYSIS, transform
-from stages.verdict import Judge
+from stages.verdict import Judge, Table
 
 KINDS = (RESIDUAL, INDICATOR, SIGMA, Z, MODEL_SD, EVIDENCE, PROBABILITY, SIZE, SIZE_SD)
 
@@ -43,27 +43,30 @@ def diagnose(
     block = transform(detector.stages, log, block_s)
     frame = block.groups[ANALYSIS].frame
     samples = samples_table(frame)
-    recipe = detector.recipe
-    verdict = _judge(recipe).verdict(
-        log, samples, recipe=recipe.name, detector=detector.key, quality=quality or {}
-    )
-    units = {
-        n.partition(".")[2]: s.unit or ""
-        for n, s in block.groups[ANALYSIS].signals.items()
-        if n.startswith((RESIDUAL, INDICATOR))
-    }
+    verdict = judge(log, samples, detector, quality or {})
     return Diagnosis(
-        log=log, samples=samples, verdict=verdict, units=units,
+        log=log, samples=samples, verdict=verdict, units=residual_units(block),
         operating_map=_operating_map(detector, block), signals=block.groups.get(SIGNALS),
     )  # fmt: skip
 
 
-def _judge(recipe: Recipe) -> Judge:
-    """How to put this recipe's faults into words."""
+def judge(log: Log, samples: Table, detector: Detector, quality: Mapping[str, Any]) -> Verdict:
+    """The verdict on ``log``, of which only events and facts count, in the words of the detector's recipe."""
+    recipe = detector.recipe
     supposed = {f: h for s in recipe.stages if isinstance(s, Isolate) for f, h in s.hypotheses.items()}
     channels = {f: h.signal for f, h in supposed.items() if h.signal} | dict(recipe.channels)
     units = {f: h.unit for f, h in supposed.items()}
-    return Judge(min_evidence_s=recipe.min_evidence_s, channels=channels, units=units)
+    words = Judge(min_evidence_s=recipe.min_evidence_s, channels=channels, units=units)
+    return words.verdict(log, samples, recipe=recipe.name, detector=detector.key, quality=quality)
+
+
+def residual_units(block: Log) -> dict[str, str]:
+    """Units of a block's residuals or indicators."""
+    return {
+        n.partition(".")[2]: s.unit or ""
+        for n, s in block.groups[ANALYSIS].signals.items()
+        if n.startswith((RESIDUAL, INDICATOR))
+    }
 
 
 def samples_table(frame: pl.DataFrame) -> pl.DataFrame:

@@ -23,8 +23,17 @@ def run_key(sha256: str, detector: Detector, options: dict[str, Any]) -> str:
     return digest(sha256, detector.key, options, version("dynoscope"))
 
 
-def build_manifest(log: Log, detector: Detector, key: str, times: dict[str, float | str]) -> dict[str, Any]:
-    """Lineage of one run: each step's output key is the digest of its settings and its input's key."""
+def build_manifest(
+    log: Log,
+    detector: Detector,
+    key: str,
+    times: dict[str, float | str],
+    duration_s: float | None = None,
+) -> dict[str, Any]:
+    """Lineage of one run: each step's output key is the digest of its settings and its input's key.
+
+    ``duration_s`` of a log whose rows are not in ``log``.
+    """
     steps, parent = [], str(log.facts.get("sha256", log.name))
     for use, stage in zip(detector.recipe.uses, detector.stages, strict=True):
         output = digest(use, stage.version, settings(stage), detector.key, parent)
@@ -40,7 +49,8 @@ def build_manifest(log: Log, detector: Detector, key: str, times: dict[str, floa
         parent = output
     return {
         "key": key,
-        "log": {k: log.facts[k] for k in FACTS if k in log.facts} | {"duration_s": duration(log)},
+        "log": {k: log.facts[k] for k in FACTS if k in log.facts}
+        | {"duration_s": round(duration(log) if duration_s is None else duration_s, 6)},
         "detector": {k: detector.record[k] for k in ("key", "recipe", "training", "calibration", "notes")},
         "steps": steps,
         "packages": packages(),
@@ -53,7 +63,7 @@ def build_manifest(log: Log, detector: Detector, key: str, times: dict[str, floa
 def duration(log: Log) -> float:
     """Seconds from the first sample to the last."""
     start, end = log.span
-    return round(end - start, 6)
+    return end - start
 
 
 @cache

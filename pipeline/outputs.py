@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import shutil
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -36,11 +37,7 @@ def write_run(diagnosis: Diagnosis, folder: Path, manifest: dict[str, Any], *, t
     """
     from ingest import write_log
 
-    if folder.exists() and not (folder / MANIFEST).is_file():
-        raise LogError(f"{folder} exists and is not a run's folder; choose another --out")
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    draft = Path(tempfile.mkdtemp(prefix=f".{folder.name}.{owner()}.", dir=folder.parent))
-    try:
+    with run_folder(folder) as draft:
         diagnosis.samples.write_parquet(draft / SAMPLES)
         if diagnosis.signals is not None:
             diagnosis.signals.frame.write_parquet(draft / SIGNALS)
@@ -51,6 +48,21 @@ def write_run(diagnosis: Diagnosis, folder: Path, manifest: dict[str, Any], *, t
 
             write_timeline(diagnosis, draft / TIMELINE)
         (draft / MANIFEST).write_text(to_json(manifest), encoding="utf-8")
+
+
+@contextmanager
+def run_folder(folder: Path) -> Iterator[Path]:
+    """A folder to write a run to, that becomes ``folder`` if all goes well.
+
+    Raises:
+        LogError: something else lies at ``folder``.
+    """
+    if folder.exists() and not (folder / MANIFEST).is_file():
+        raise LogError(f"{folder} exists and is not a run's folder; choose another --out")
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    draft = Path(tempfile.mkdtemp(prefix=f".{folder.name}.{owner()}.", dir=folder.parent))
+    try:
+        yield draft
         draft.chmod(0o755)
         _put(draft, folder)
     finally:

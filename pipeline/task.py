@@ -10,7 +10,7 @@ import json
 import pickle
 import time
 import traceback
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import lru_cache
@@ -18,15 +18,22 @@ from pathlib import Path
 from typing import Any
 
 from ingest import read_log
+from ingest.blocks import in_step
 from ingest.errors import DynoscopeError, LogError
-from ingest.files import sha256
+from ingest.files import read_blocks, read_header, sha256
+from ingest.log import Log
 from ingest.maps import NameMap
 from ingest.report import quality, with_quality
 from pipeline.detector import Detector, restore
 from pipeline.diagnosing import diagnose
 from pipeline.manifest import build_manifest, run_key
-from pipeline.outputs import ANNOTATED, MANIFEST, SAMPLES, TIMELINE, VERDICT, write_run
+from pipeline.outputs import ANNOTATED, MANIFEST, SAMPLES, TIMELINE, VERDICT, run_folder, to_json, write_run
+from pipeline.streaming import diagnose_parts
 from pipeline.summary import Row, verdict_row
+
+Facts = dict[str, Any]
+WHOLE_BYTES = 64 << 20  # larger files are diagnosed in parts
+IN_PARTS = "in_parts"  # of a manifest
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,17 +103,43 @@ def _diagnosed(task: Task, detector: Detector) -> Row:
     key = _key(task, digest, detector)
     if not task.force and (row := _row(task, key)):
         return row
+    facts = {"sha256": digest, "path": str(task.path)}
+    if task.path.stat().st_size > WHOLE_BYTES:
+        manifest = _in_parts(task, detector, key, facts, began)
+    else:
+        manifest = _whole(task, detector, key, facts, began)
+    verdict = json.loads((task.folder / VERDICT).read_text(encoding="utf-8"))
+    return _complete(task, verdict, manifest)
+
+
+def _whole(task: Task, detector: Detector, key: str, facts: Facts, began: float) -> Facts:
+    """Diagnose a log in memory; its manifest."""
     log = read_log(task.path, task.name_map)
-    log = replace(log, name=task.name, facts={**log.facts, "sha256": digest, "path": str(task.path)})
-    log = with_quality(log)
+    log = with_quality(replace(log, name=task.name, facts={**log.facts, **facts}))
     diagnosis = diagnose(log, detector, quality=quality(log))
-    times: dict[str, float | str] = {
-        "started": datetime.now(UTC).isoformat(timespec="seconds"),
-        "seconds": round(time.perf_counter() - began, 3),
-    }
-    manifest = build_manifest(log, detector, key, times)
+    manifest = build_manifest(log, detector, key, _times(began))
     write_run(diagnosis, task.folder, manifest, timeline=task.timeline)
-    return _complete(task, diagnosis.verdict.to_json(), manifest)
+    return manifest
+
+
+def _in_parts(task: Task, detector: Detector, key: str, facts: Facts, began: float) -> Facts:
+    """Diagnose a log that is too large for that; its manifest, which says so."""
+    counts = read_header(task.path, task.name_map).facts.get("rows")
+
+    def parts() -> Iterator[Log]:
+        return in_step(read_blocks(task.path, task.name_map), counts)
+
+    with run_folder(task.folder) as draft:
+        log, duration = diagnose_parts(parts, detector, task.name, facts, draft)
+        manifest = {**build_manifest(log, detector, key, _times(began), duration), IN_PARTS: True}
+        (draft / MANIFEST).write_text(to_json(manifest), encoding="utf-8")
+    return manifest
+
+
+def _times(began: float) -> dict[str, float | str]:
+    """What of a run depends on when and how fast it was made; seconds without writing."""
+    started = datetime.now(UTC).isoformat(timespec="seconds")
+    return {"started": started, "seconds": round(time.perf_counter() - began, 3)}
 
 
 def _key(task: Task, digest: str, detector: Detector) -> str:
@@ -115,13 +148,13 @@ def _key(task: Task, digest: str, detector: Detector) -> str:
 
 def _row(task: Task, key: str) -> Row | None:
     """The row of a log that has been run with the same ``key``, all its files in place; else None."""
-    files = (SAMPLES, ANNOTATED, *([TIMELINE] if task.timeline else []))
     try:
         manifest, verdict = (
             json.loads((task.folder / file).read_text(encoding="utf-8")) for file in (MANIFEST, VERDICT)
         )
-        whole = manifest["key"] == key and all((task.folder / file).is_file() for file in files)
-        return _complete(task, verdict, manifest) if whole else None
+        timeline = [TIMELINE] if task.timeline and not manifest.get(IN_PARTS) else []
+        there = all((task.folder / file).is_file() for file in (SAMPLES, ANNOTATED, *timeline))
+        return _complete(task, verdict, manifest) if there and manifest["key"] == key else None
     except (OSError, ValueError, TypeError, KeyError, AttributeError):  # damaged: run it again
         return None
 

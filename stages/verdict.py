@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import polars as pl
@@ -22,6 +22,17 @@ from stages.residuals import SIGMA, Z
 from stages.results import DETECTION, EVIDENCE, PROBABILITY, SIZE, SIZE_SD, UNKNOWN, Magnitude, Verdict
 
 ONSET_BACK_S, ONSET_AFTER_S = 600.0, 30.0
+
+
+class Table(Protocol):
+    """What is asked of the samples: a frame, or columns that are read when they are needed."""
+
+    @property
+    def columns(self) -> list[str]: ...
+    @property
+    def height(self) -> int: ...
+    def __getitem__(self, column: str, /) -> pl.Series: ...
+    def slice(self, offset: int, length: int | None = None) -> pl.DataFrame: ...
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,7 +48,7 @@ class Judge:
     def verdict(
         self,
         log: Log,
-        samples: pl.DataFrame,
+        samples: Table,
         *,
         recipe: str,
         detector: str | None,
@@ -72,7 +83,7 @@ class Judge:
             events=tuple(events),
         )
 
-    def _episodes(self, samples: pl.DataFrame) -> list[tuple[int, int]]:
+    def _episodes(self, samples: Table) -> list[tuple[int, int]]:
         """First and last row of each alarm, close ones merged."""
         rows = np.flatnonzero(samples[DETECTION].to_numpy() > 0)
         if not rows.size:
@@ -82,14 +93,14 @@ class Judge:
         starts, ends = np.append(0, breaks + 1), np.append(breaks, rows.size - 1)
         return [(int(rows[a]), int(rows[b])) for a, b in zip(starts, ends, strict=True)]
 
-    def _probability(self, samples: pl.DataFrame, row: int) -> dict[str, float]:
+    def _probability(self, samples: Table, row: int) -> dict[str, float]:
         return {
-            c.removeprefix(PROBABILITY): round(float(samples[c][row]), 6)
-            for c in samples.columns
+            c.removeprefix(PROBABILITY): round(float(p), 6)
+            for c, p in samples.slice(row, 1).row(0, named=True).items()
             if c.startswith(PROBABILITY)
         }
 
-    def _event(self, samples: pl.DataFrame, first: int, last: int) -> Event:
+    def _event(self, samples: Table, first: int, last: int) -> Event:
         probability = self._probability(samples, last)
         fault = max(probability, key=lambda f: probability[f])
         ended = last < samples.height - 1
@@ -102,20 +113,21 @@ class Judge:
             source="dynoscope",
         )
 
-    def _magnitude(self, samples: pl.DataFrame, fault: str, row: int) -> Magnitude | None:
+    def _magnitude(self, samples: Table, fault: str, row: int) -> Magnitude | None:
         """The fault's size at the end of its event, where the isolation estimates one."""
         if SIZE + fault not in samples.columns:
             return None
-        value, sd = samples[SIZE + fault][row], samples[SIZE_SD + fault][row]
+        there = samples.slice(row, 1)
+        value, sd = there[SIZE + fault][0], there[SIZE_SD + fault][0]
         return Magnitude(value=float(value), sd=sd, unit=self.units.get(fault, "1"))
 
-    def _strength(self, samples: pl.DataFrame, first: int, last: int) -> float:
+    def _strength(self, samples: Table, first: int, last: int) -> float:
         names = [c for c in samples.columns if c.startswith(EVIDENCE) and c != EVIDENCE + UNKNOWN]
-        part = samples.slice(first, last - first + 1)
-        return max(float(part[c].max() or 0.0) for c in names)  # type: ignore[arg-type]
+        count = last - first + 1
+        return max(float(samples[c].slice(first, count).max() or 0.0) for c in names)  # type: ignore[arg-type]
 
 
-def onset(samples: pl.DataFrame, first: int) -> float:
+def onset(samples: Table, first: int) -> float:
     """When the fault began that was detected at row ``first``, in s on the log's clock.
 
     The change point k that maximises the likelihood of a shift of the means of residuals or indicators from
@@ -140,7 +152,7 @@ def onset(samples: pl.DataFrame, first: int) -> float:
     return float(time[a + int(np.argmax(gain))])
 
 
-def usable_seconds(samples: pl.DataFrame) -> float:
+def usable_seconds(samples: Table) -> float:
     """Seconds of samples that say something: every residual or indicator known, and at rest (gate at least
     1/2)."""
     if samples.height < 2:
@@ -157,7 +169,7 @@ def usable_seconds(samples: pl.DataFrame) -> float:
     return float(step[known].sum())
 
 
-def residual_statistics(samples: pl.DataFrame) -> dict[str, dict[str, float | None]]:
+def residual_statistics(samples: Table) -> dict[str, dict[str, float | None]]:
     """Per residual or indicator: mean distance from the healthy value, root mean square of z, share of
     samples beyond 3 sigma; and the share in domain, where there is one."""
     out: dict[str, dict[str, float | None]] = {}
@@ -178,5 +190,5 @@ def residual_statistics(samples: pl.DataFrame) -> dict[str, dict[str, float | No
     return {**out, IN_DOMAIN: {"share": float(in_domain) if in_domain is not None else None}}  # type: ignore[arg-type]
 
 
-def _array(samples: pl.DataFrame, column: str) -> NDArray[np.float64]:
+def _array(samples: Table, column: str) -> NDArray[np.float64]:
     return samples[column].cast(pl.Float64).fill_null(float("nan")).to_numpy()

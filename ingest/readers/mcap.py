@@ -14,7 +14,7 @@ import heapq
 import json
 import zlib
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from operator import itemgetter
 from pathlib import Path
@@ -27,6 +27,7 @@ from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
 from ingest.about import about_json, parse_about, with_flags
+from ingest.blocks import BLOCK_BYTES
 from ingest.clock import iso
 from ingest.errors import LogError
 from ingest.log import Event, Group, Log
@@ -77,13 +78,44 @@ def read(path: Path, names: NameMap) -> Recording:
     file = open_mcap(path)
     parts = _collect(file)
     counted = sum(part.rows for channel in parts.values() for part in channel)
-    if file.statistics and not file.problems and counted != file.statistics.message_count:
-        file.problems.append(f"{counted} of {file.statistics.message_count} messages were found")
     if not parts and file.problems:
         raise LogError(f"{path}: nothing can be read: {'; '.join(file.problems)}")
-    log, ours, _ = _log(path, file, parts, names)
-    facts = {**log.facts, **({"salvaged": file.problems} if file.problems else {})}
-    return Recording(Log(log.name, log.groups, log.events, facts), ours)
+    return _told(file, _log(path, file, parts, names), counted)
+
+
+def _told(file: McapFile, found: Recording, counted: int) -> Recording:
+    """What was found, with what was lost as the fact ``salvaged``."""
+    if file.statistics and not file.problems and counted != file.statistics.message_count:
+        file.problems.append(f"{counted} of {file.statistics.message_count} messages were found")
+    facts = {**found.log.facts, **({"salvaged": file.problems} if file.problems else {})}
+    return found._replace(log=replace(found.log, facts=facts))
+
+
+def blocks(path: Path, names: NameMap) -> Iterator[Recording]:
+    """Parts of about :data:`BLOCK_BYTES`, the events in the last; a file of others comes as one."""
+    file = open_mcap(path)
+    if len(file.data) <= BLOCK_BYTES or not _about(path, file):
+        yield read(path, names)
+        return
+    parts: dict[int, list[Part]] = defaultdict(list)
+    layouts: dict[int, Layout | None] = {}
+    events: dict[int, list[Part]] = {}
+    size = done = counted = 0
+    for content in chunks(file):
+        _take(file, content, layouts, parts)
+        size, done = size + len(content), done + 1
+        if size < BLOCK_BYTES and done < len(file.spans):
+            continue
+        for number in [n for n in parts if n in file.channels and _is_events(file.channels[n])]:
+            events.setdefault(number, []).extend(parts.pop(number))
+        counted += sum(part.rows for channel in parts.values() for part in channel)
+        yield _log(path, file, parts, names)._replace(share=done / len(file.spans))
+        parts.clear()
+        size = 0
+    counted += sum(part.rows for channel in events.values() for part in channel)
+    if not counted and file.problems:
+        raise LogError(f"{path}: nothing can be read: {'; '.join(file.problems)}")
+    yield _told(file, _log(path, file, events, names), counted)
 
 
 def _collect(file: McapFile, *, until_all_seen: bool = False) -> dict[int, list[Part]]:
@@ -93,13 +125,20 @@ def _collect(file: McapFile, *, until_all_seen: bool = False) -> dict[int, list[
     parts: dict[int, list[Part]] = defaultdict(list)
     layouts: dict[int, Layout | None] = {}
     for content in chunks(file):
-        try:
-            _split(file, content, layouts, parts)
-        except DAMAGE as error:
-            file.problems.append(f"the records of a chunk are damaged ({error}); rows are lost")
+        _take(file, content, layouts, parts)
         if until_all_seen and wanted <= set(parts):
             break
     return parts
+
+
+def _take(
+    file: McapFile, content: memoryview, layouts: dict[int, Layout | None], parts: dict[int, list[Part]]
+) -> None:
+    """Adds a chunk's rows to ``parts``; damage is noted."""
+    try:
+        _split(file, content, layouts, parts)
+    except DAMAGE as error:
+        file.problems.append(f"the records of a chunk are damaged ({error}); rows are lost")
 
 
 def _split(

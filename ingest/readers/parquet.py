@@ -8,7 +8,10 @@ stamps.
 from __future__ import annotations
 
 import zlib
-from collections.abc import Mapping
+from collections import defaultdict
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +20,12 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ingest.about import about_json, parse_about, with_flags
+from ingest.blocks import BLOCK_BYTES
 from ingest.errors import LogError
 from ingest.log import TIME, Event, Group, Log, Signal
 from ingest.maps import NameMap
 from ingest.readers import Recording, check_declared
-from ingest.tables import Table, log_of_tables
+from ingest.tables import Table, earliest, log_of_tables
 
 GROUP = "data"
 _KEY, _CHECKSUM = b"dynoscope", b"dynoscope.crc32"
@@ -47,20 +51,63 @@ def read(path: Path, names: NameMap) -> Recording:
     return _read(path, names, rows=True)
 
 
+def blocks(path: Path, names: NameMap) -> Iterator[Recording]:
+    """The row groups one by one; of a foreign file, as many rows at a time as make :data:`BLOCK_BYTES`."""
+    with _opened(path) as file:
+        if about := _about(path, file):
+            for i, name in enumerate(about["row_groups"] or [""]):
+                log = _ours(file, about, {name: [i]} if name else {})
+                yield Recording(log, ours=True, share=(i + 1) / max(1, len(about["row_groups"])))
+            return
+        size = max(1, BLOCK_BYTES // (8 * max(1, file.metadata.num_columns)))
+        start: int | None = None
+        done = 0
+        for batch in file.iter_batches(size):
+            frame = frame_of(pa.Table.from_batches([batch]))
+            tables = {GROUP: Table(frame, signals_of(file.schema_arrow))}
+            start = earliest(tables, names.time) if start is None else start
+            done += frame.height
+            log = log_of_tables(str(path), path.stem, tables, names.time, start)
+            yield Recording(log, share=done / file.metadata.num_rows)
+        if not done:
+            yield Recording(_foreign(path, names, file, rows=True))  # says what is wrong
+
+
 def _read(path: Path, names: NameMap, *, rows: bool) -> Recording:
+    with _opened(path) as file:
+        if rows:
+            check_declared(path, file.metadata.num_rows, file.metadata.num_columns)
+        about = _about(path, file)
+        if not about:
+            return Recording(_foreign(path, names, file, rows))
+        members = defaultdict[str, list[int]](list)
+        for i, name in enumerate(about["row_groups"]) if rows else ():
+            members[name].append(i)
+        log = _ours(file, about, members)
+        if not rows:
+            counts = {k: g["rows"] for k, g in about["groups"].items()}
+            log = replace(log, facts={**log.facts, "rows": counts})
+        return Recording(log, ours=True)
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[pq.ParquetFile]:
     try:
         with pq.ParquetFile(path, page_checksum_verification=True) as file:
-            metadata = file.metadata.metadata or {}
-            if rows:
-                check_declared(path, file.metadata.num_rows, file.metadata.num_columns)
-            if _KEY not in metadata and not _names_us(path):
-                return Recording(_foreign(path, names, file, rows))
-            text = metadata.get(_KEY, b"")
-            if metadata.get(_CHECKSUM) != _checksum(file.schema_arrow, text):
-                raise LogError(f"{path}: damaged Parquet file: its description has a wrong checksum")
-            return Recording(_ours(file, parse_about(str(path), text), rows), ours=True)
+            yield file
     except (pa.ArrowException, OSError) as error:
         raise LogError(f"{path}: damaged Parquet file: {str(error).splitlines()[0]}") from error
+
+
+def _about(path: Path, file: pq.ParquetFile) -> dict[str, Any]:
+    """What we noted on the whole; empty for a file of others."""
+    metadata = file.metadata.metadata or {}
+    if _KEY not in metadata and not _names_us(path):
+        return {}
+    text = metadata.get(_KEY, b"")
+    if metadata.get(_CHECKSUM) != _checksum(file.schema_arrow, text):
+        raise LogError(f"{path}: damaged Parquet file: its description has a wrong checksum")
+    return parse_about(str(path), text)
 
 
 def _names_us(path: Path) -> bool:
@@ -73,21 +120,18 @@ def _names_us(path: Path) -> bool:
     return _CHECKSUM in footer or footer.count(_KEY) > 1
 
 
-def _ours(file: pq.ParquetFile, about: dict[str, Any], rows: bool) -> Log:
+def _ours(file: pq.ParquetFile, about: dict[str, Any], members: Mapping[str, list[int]]) -> Log:
+    """The log with those row groups of each group that ``members`` names."""
     pairs = {
         f.name: {k.decode(): v.decode() for k, v in (f.metadata or {}).items()} for f in file.schema_arrow
     }
     groups = {}
     for name, group in about["groups"].items():
-        parts = [i for i, g in enumerate(about["row_groups"]) if g == name] if rows else []
         columns = [TIME, *group["signals"]]
-        frame = frame_of(file.read_row_groups(parts, columns=columns)).select(columns)
+        frame = frame_of(file.read_row_groups(members.get(name, []), columns=columns)).select(columns)
         signals = {c: Signal.from_metadata(c, pairs[c]) for c in columns[1:]}
         groups[name] = Group(name, frame, with_flags(signals, about))
-    facts = about["facts"]
-    if not rows:
-        facts = {**facts, "rows": {k: g["rows"] for k, g in about["groups"].items()}}
-    return Log(about["name"], groups, tuple(Event(**e) for e in about["events"]), facts)
+    return Log(about["name"], groups, tuple(Event(**e) for e in about["events"]), about["facts"])
 
 
 def _foreign(path: Path, names: NameMap, file: pq.ParquetFile, rows: bool) -> Log:

@@ -1,0 +1,101 @@
+"""Samples that do not fit into memory: written block by block, read back a column or some rows at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cached_property
+from pathlib import Path
+
+import polars as pl
+import pyarrow.parquet as pq
+
+from ingest.log import TIME
+
+ROWS = 1 << 16  # of a row group
+
+
+class Stored:
+    """A Parquet file as a :class:`stages.verdict.Table`, of which only what is asked for is read."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.file = pq.ParquetFile(path)
+
+    @cached_property
+    def columns(self) -> list[str]:
+        return list(self.file.schema_arrow.names)
+
+    @property
+    def height(self) -> int:
+        return int(self.file.metadata.num_rows)
+
+    def __getitem__(self, column: str, /) -> pl.Series:
+        return self._time if column == TIME else self._column(column)
+
+    @cached_property
+    def _time(self) -> pl.Series:
+        return self._column(TIME)
+
+    def _column(self, column: str) -> pl.Series:
+        return pl.read_parquet(self.path, columns=[column])[column]
+
+    def slice(self, offset: int, length: int | None = None) -> pl.DataFrame:
+        return pl.scan_parquet(self.path).slice(offset, length).collect()
+
+
+class Reader:
+    """Reads a Parquet file's rows in order of time, each once."""
+
+    def __init__(self, path: Path) -> None:
+        self.batches = pq.ParquetFile(path).iter_batches(ROWS)
+        self.rest = pl.DataFrame(schema=pl.read_parquet_schema(path))
+
+    def before(self, time: float) -> pl.DataFrame:
+        """The rows before ``time`` that have not been had."""
+        while not self.rest.height or self.rest[TIME][-1] < time:
+            if (batch := next(self.batches, None)) is None:
+                break
+            self.rest = pl.concat([self.rest, pl.DataFrame(pl.from_arrow(batch))])
+        count = int(self.rest[TIME].search_sorted(time, side="left"))
+        had, self.rest = self.rest.head(count), self.rest.slice(count)
+        return had
+
+
+class Writer:
+    """Writes frames of one schema into a Parquet file, which is there once something was added."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.writer: pq.ParquetWriter | None = None
+        self.waiting: list[pl.DataFrame] = []
+
+    def add(self, frame: pl.DataFrame) -> None:
+        self.waiting.append(frame)
+        if sum(f.height for f in self.waiting) >= ROWS:
+            self._flush()
+
+    def _flush(self) -> None:
+        if not self.waiting:
+            return
+        frame = pl.concat(self.waiting, how="vertical_relaxed")
+        self.waiting = []
+        table = frame.to_arrow(compat_level=pl.CompatLevel.oldest())
+        if self.writer is None:
+            self.writer = pq.ParquetWriter(self.path, table.schema, compression="zstd")
+        self.writer.write_table(table.cast(self.writer.schema), row_group_size=ROWS)
+
+    def close(self) -> None:
+        self._flush()
+        if self.writer is not None:
+            self.writer.close()
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[Writer]:
+    """A :class:`Writer`, closed in the end."""
+    writer = Writer(path)
+    try:
+        yield writer
+    finally:
+        writer.close()

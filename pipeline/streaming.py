@@ -1,0 +1,114 @@
+"""A log of any size in bounded memory: read twice in parts, diagnosed in the first pass, annotated in the
+second.
+
+What the stages say goes to the disk as it comes, and the verdict reads back only what it asks for. There is
+no timeline: a recording of such a log would be too large to look at.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ingest.blocks import follow
+from ingest.errors import LogError
+from ingest.log import Group, Log
+from ingest.quality import Quality
+from ingest.recording import recording
+from ingest.report import quality, with_quality
+from pipeline.detector import Detector
+from pipeline.diagnosing import judge, residual_units, samples_table
+from pipeline.outputs import ANNOTATED, SAMPLES, SIGNALS, VERDICT, annotated, to_json
+from pipeline.samples import Reader, Stored, Writer, writing
+from stages.monitor import SIGNALS as MONITORED
+from stages.results import Diagnosis
+from stages.stage import ANALYSIS, run_stages
+
+Parts = Callable[[], Iterable[Log]]
+
+
+def diagnose_parts(
+    parts: Parts, detector: Detector, name: str, facts: dict[str, Any], draft: Path
+) -> tuple[Log, float]:
+    """Diagnose a log whose ``parts``, in step (:func:`ingest.blocks.in_step`), can be had twice; samples,
+    verdict and annotated log go to the folder ``draft``.
+
+    Returns:
+        The log without its rows, called ``name`` and with ``facts`` added, and the seconds it lasts.
+
+    Raises:
+        LogError: what reading raises, or the log lacks a signal that the recipe needs.
+    """
+    named = partial(_named, parts, name, facts)
+    seen = _Seen()
+    units: dict[str, str] = {}
+    signals: Group | None = None
+    with writing(draft / SAMPLES) as samples, writing(draft / SIGNALS) as monitored:
+        for block in run_stages(detector.stages, seen.watch(named())):
+            samples.add(samples_table(block.groups[ANALYSIS].frame))
+            units = residual_units(block)
+            signals = _added(block, monitored)
+    log = replace(with_quality(seen.whole, seen.quality), name=name)
+    verdict = judge(log, stored := Stored(draft / SAMPLES), detector, quality(log, seen.quality))
+    (draft / VERDICT).write_text(to_json(verdict.to_json()), encoding="utf-8")
+    made = Diagnosis(log=log, samples=stored.slice(0, 0), verdict=verdict, units=units, signals=signals)
+    _annotate(made, named(), draft)
+    start, end = seen.quality.span or (0.0, 0.0)
+    return log, end - start
+
+
+class _Seen:
+    """What is known of the parts that have gone by."""
+
+    def __init__(self) -> None:
+        self.quality = Quality()
+        self.last: Log | None = None
+
+    def watch(self, parts: Iterable[Log]) -> Iterator[Log]:
+        for part in parts:
+            self.quality.add(part)
+            self.last = part if self.last is None else follow(self.last, part)
+            yield part
+
+    @property
+    def whole(self) -> Log:
+        if self.last is None or self.quality.span is None:
+            raise LogError("no samples")
+        return follow(self.last, self.last)
+
+
+def _named(parts: Parts, name: str, facts: dict[str, Any]) -> Iterator[Log]:
+    for part in parts():
+        yield replace(part, name=name, facts={**part.facts, **facts})
+
+
+def _added(block: Log, writer: Writer) -> Group | None:
+    """Writes the monitored signals of a block, if it has any; the group without its rows."""
+    group = block.groups.get(MONITORED)
+    if group is None:
+        return None
+    writer.add(group.frame)
+    return replace(group, frame=group.frame.clear())
+
+
+def _annotate(made: Diagnosis, parts: Iterator[Log], draft: Path) -> None:
+    """``annotated.mcap``, part by part: the samples beside the rows of the same time."""
+    part: Log | None = next(parts)
+    samples = Reader(draft / SAMPLES)
+    signals = Reader(draft / SIGNALS) if made.signals else None
+    with recording(draft / ANNOTATED, annotated(replace(made, log=part or made.log))) as recorder:
+        while part is not None:
+            following = next(parts, None)
+            rows = [float(g.time[-1]) for g in part.groups.values() if g.frame.height]
+            end = np.inf if following is None else max(rows, default=-np.inf)
+            beside = replace(made, log=part, samples=samples.before(end))
+            if signals is not None and made.signals is not None:
+                beside = replace(beside, signals=replace(made.signals, frame=signals.before(end)))
+            recorder.add(annotated(beside))
+            part = following
+        recorder.finish(annotated(made), {})

@@ -1,0 +1,135 @@
+"""A log that is diagnosed in parts says what it says as a whole."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+from ingest import read_log, write_log
+from ingest.blocks import in_step, join, rows
+from ingest.errors import LogError
+from ingest.log import Group, Log
+from ingest.recording import recording
+from pipeline import run
+from pipeline.batch import Options
+from pipeline.detector import Detector
+
+PLAIN = Options(timeline=False)
+
+
+def in_parts_of(log: Log, size: int, path: Path) -> Path:
+    """The log as a file whose parts have ``size`` rows."""
+    with recording(path, log) as recorder:
+        for part in rows(log, size):
+            recorder.add(part)
+        recorder.finish(log, {})
+    return path
+
+
+def assert_same(one: pl.DataFrame, other: pl.DataFrame) -> None:
+    """Equal but for the last digits, which the linear algebra's own blocking may change."""
+    assert one.schema == other.schema
+    for c, dtype in one.schema.items():
+        x, y = (f[c].cast(pl.Float64).fill_null(np.nan).to_numpy() for f in (one, other))
+        np.testing.assert_allclose(x, y, rtol=1e-4 if dtype == pl.Float32 else 1e-7, atol=1e-6, err_msg=c)
+
+
+@pytest.mark.parametrize("size", [700, 5000, 10**6])
+@pytest.mark.parametrize("suffix", [".parquet", ".mcap", ".csv"])
+def test_the_result_does_not_depend_on_the_parts(
+    faulty: Log, detector: Detector, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    size: int, suffix: str,
+) -> None:  # fmt: skip
+    path = in_parts_of(faulty, size, tmp_path / f"faulty{suffix}")
+    (expected,) = run([path], detector, tmp_path / "whole", PLAIN).to_dicts()
+    monkeypatch.setattr("pipeline.task.WHOLE_BYTES", 0)
+    monkeypatch.setattr("ingest.readers.mcap.BLOCK_BYTES", 100 * size)
+    (row,) = run([path], detector, tmp_path / "out", Options(timeline=True)).to_dicts()
+    exact = {k: v for k, v in expected.items() if not isinstance(v, float)}
+    assert {k: row[k] for k in exact} == exact
+    assert row == pytest.approx(expected)
+    out, one = tmp_path / "out" / "faulty", tmp_path / "whole" / "faulty"
+    assert_same(pl.read_parquet(out / "samples.parquet"), pl.read_parquet(one / "samples.parquet"))
+    verdict, judged = (json.loads((f / "verdict.json").read_text()) for f in (out, one))
+    assert verdict["quality"].keys() == judged["quality"].keys()
+    for name in ("W_HFM", "p_Int"):
+        for about in ("rows", "rate_hz", "gaps", "missing", "min", "max"):
+            assert verdict["quality"][name][about] == judged["quality"][name][about]
+    annotated, known = read_log(out / "annotated.mcap"), read_log(one / "annotated.mcap")
+    assert list(annotated.groups) == list(known.groups)
+    for name, group in known.groups.items():
+        assert annotated.groups[name].frame.columns == group.frame.columns
+        assert annotated.groups[name].frame.height == group.frame.height
+    assert all(
+        annotated.groups[g].frame.equals(known.groups[g].frame) for g in faulty.groups if g in known.groups
+    )
+    assert [e.kind for e in annotated.events] == [e.kind for e in known.events]
+    assert json.loads((out / "manifest.json").read_text())["in_parts"] is True
+    before = out.stat().st_ino
+    run([path], detector, tmp_path / "out", Options(timeline=True))
+    assert out.stat().st_ino == before  # done, though there is no timeline
+
+
+def two_rates(rows_of_a: int = 100) -> Log:
+    fast = pl.DataFrame({"time": np.arange(rows_of_a) / 100, "a": np.arange(rows_of_a)})
+    slow = pl.DataFrame({"time": np.arange(10) / 10, "b": np.arange(10)})
+    return Log("x", {"fast": Group("fast", fast), "slow": Group("slow", slow)}, (), {"k": 1})
+
+
+@pytest.mark.parametrize("size", [1, 7, 10, 1000])
+@pytest.mark.parametrize("known", [True, False])
+def test_groups_are_brought_in_step(size: int, known: bool) -> None:
+    log = two_rates()
+    counts = {k: g.frame.height for k, g in log.groups.items()} if known else None
+    parts = list(in_step(rows(log, size), counts))
+    assert join(parts).equals(log)
+    ends = [
+        (max((g.time[-1] for g in a.groups.values() if g.frame.height), default=-1.0),
+         min((g.time[0] for g in b.groups.values() if g.frame.height), default=9.0))
+        for a, b in pairwise(parts)
+    ]  # fmt: skip
+    assert all(end < begin for end, begin in ends)
+
+
+def test_a_group_that_has_ended_holds_nobody_up() -> None:
+    log = two_rates(1000)  # 10 s, the other group ends after 1 s
+    counts = {k: g.frame.height for k, g in log.groups.items()}
+    heights = [p.groups["fast"].frame.height for p in in_step(rows(log, 100), counts)]
+    assert max(heights) <= 200
+    assert sum(heights) == 1000
+
+
+def test_a_clock_that_begins_again_is_an_error_not_a_wrong_answer() -> None:
+    log = two_rates()
+    frame = pl.concat([log.groups["fast"].frame, log.groups["fast"].frame])
+    twice = replace(log, groups={"fast": replace(log.groups["fast"], frame=frame)})
+    with pytest.raises(LogError, match=r"clock of group 'fast' goes back from .* split it"):
+        list(in_step(rows(twice, 60)))
+
+
+def test_a_foreign_file_with_dates_is_read_in_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("ingest.readers.parquet.BLOCK_BYTES", 8 * 2 * 10)
+    stamps = pl.datetime_range(pl.datetime(2026, 1, 1), pl.datetime(2026, 1, 1, 0, 0, 59), "1s", eager=True)
+    path = tmp_path / "x.parquet"
+    pl.DataFrame({"time": stamps, "a": range(60)}).write_parquet(path)
+    from ingest.files import read_blocks
+
+    parts = list(read_blocks(path))
+    assert len(parts) == 6
+    assert join(parts).groups["data"].frame.equals(read_log(path).groups["data"].frame)
+
+
+def test_a_log_without_samples(detector: Detector, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pipeline.task.WHOLE_BYTES", 0)
+    (tmp_path / "empty.csv").write_text("time,p_Int\n")
+    write_log(two_rates(), tmp_path / "other.parquet")
+    summary = run([tmp_path / "empty.csv", tmp_path / "other.parquet"], detector, tmp_path / "out", PLAIN)
+    assert summary["status"].to_list() == ["failed", "failed"]
+    assert "has no signal 'p_Int'" in summary["reason"][1]
+    assert not [p for p in (tmp_path / "out").iterdir() if p.is_dir()]
