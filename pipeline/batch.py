@@ -15,6 +15,7 @@ import polars as pl
 from ingest.errors import DynoscopeError, LogError
 from ingest.files import sha256, unique_stems
 from ingest.maps import load_map
+from pipeline.cache import Cache
 from pipeline.detector import Detector
 from pipeline.engines import Engine, Processes, Serial
 from pipeline.files import sweep
@@ -39,6 +40,7 @@ class Options:
     name_map: Path | None = None
     workers: int = 1
     scheduler: str | None = None
+    cache: Path | None = None
     debug: bool = False
 
 
@@ -56,8 +58,11 @@ def run(
 
     Raises:
         LogError: ``out`` cannot be written.
+        StoreError: the cache cannot be written.
     """
     options = options or Options()
+    if options.cache:
+        Cache(options.cache).check()
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -85,7 +90,7 @@ def plan(logs: Sequence[Path], detector: Detector, out: Path, options: Options) 
         Task(
             path=path, name=name, folder=out / name, detector=packed, name_map=names,
             map_sha256=sha256(options.name_map) if options.name_map else None, vehicle=vehicle,
-            timeline=options.timeline, force=options.force, debug=options.debug,
+            timeline=options.timeline, force=options.force, cache=options.cache, debug=options.debug,
         )
         for path, name, vehicle in zip(logs, unique_stems(logs), vehicles_by_folder(logs), strict=True)
     ]  # fmt: skip

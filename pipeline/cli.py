@@ -12,7 +12,9 @@ from pathlib import Path
 
 from ingest.errors import DynoscopeError
 
-COMMANDS = ("demo", "simulate", "ingest", "inspect", "identify", "fit", "run", "view", "recipe")
+COMMANDS = (
+    "demo", "simulate", "ingest", "inspect", "identify", "fit", "run", "view", "recipe", "cache", "explain",
+)  # fmt: skip
 DONE, FAILED, WRONG = 0, 1, 2
 
 

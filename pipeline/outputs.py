@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
@@ -15,7 +14,7 @@ import polars as pl
 
 from ingest.errors import LogError
 from ingest.log import TIME, Group, Log, Signal
-from pipeline.files import owner
+from pipeline.files import draft_folder
 from stages.compensate import CORRECTED, CORRECTED_SD
 from stages.monitor import INDICATOR
 from stages.residuals import MODEL_SD, RESIDUAL, SIGMA
@@ -57,20 +56,19 @@ def run_folder(folder: Path) -> Iterator[Path]:
     Raises:
         LogError: something else lies at ``folder``.
     """
-    if folder.exists() and not (folder / MANIFEST).is_file():
-        raise LogError(f"{folder} exists and is not a run's folder; choose another --out")
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    draft = Path(tempfile.mkdtemp(prefix=f".{folder.name}.{owner()}.", dir=folder.parent))
-    try:
+    _check(folder)
+    with draft_folder(folder) as draft:
         yield draft
-        draft.chmod(0o755)
-        _put(draft, folder)
-    finally:
-        shutil.rmtree(draft, ignore_errors=True)
+        put(draft, folder)
 
 
-def _put(draft: Path, folder: Path) -> None:
-    """Rename ``draft`` to ``folder``; what was there goes once that has worked."""
+def put(draft: Path, folder: Path) -> None:
+    """Rename ``draft`` to ``folder``; an earlier run that was there goes once that has worked.
+
+    Raises:
+        LogError: something else lies at ``folder``.
+    """
+    _check(folder)
     if not folder.exists():
         draft.rename(folder)
         return
@@ -81,6 +79,11 @@ def _put(draft: Path, folder: Path) -> None:
         old.rename(folder)
         raise
     shutil.rmtree(old)
+
+
+def _check(folder: Path) -> None:
+    if folder.exists() and not (folder / MANIFEST).is_file():
+        raise LogError(f"{folder} exists and is not a run's folder; choose another --out")
 
 
 def annotated(diagnosis: Diagnosis) -> Log:

@@ -140,6 +140,19 @@ def build_recipe(name: str, data: Mapping[str, Any]) -> Recipe:
     return Recipe(name=name, **values, stages=tuple(s for s in stages if s is not None), uses=uses)
 
 
+def stage_of(use: str, values: Mapping[str, Any]) -> Stage:
+    """A stage from its :func:`pipeline.digest.settings`.
+
+    Raises:
+        RecipeError: this version has no such stage, or it does not take them.
+    """
+    problems: list[str] = []
+    stage = _build_stage(1, {"use": use, **values}, problems)
+    if stage is None:
+        raise RecipeError("\n".join(problems))
+    return stage
+
+
 def dataflow_problems(stages: list[Stage]) -> list[str]:
     """Columns that a stage needs and that no stage before it makes."""
     problems, present = [], {"time", *stages[0].adds}

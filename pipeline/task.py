@@ -13,7 +13,7 @@ import traceback
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -24,10 +24,23 @@ from ingest.files import read_blocks, read_header, sha256
 from ingest.log import Log
 from ingest.maps import NameMap
 from ingest.report import quality, with_quality
+from pipeline.cache import Cache
 from pipeline.detector import Detector, restore
 from pipeline.diagnosing import diagnose
+from pipeline.digest import digest
+from pipeline.files import draft_folder
 from pipeline.manifest import build_manifest, run_key
-from pipeline.outputs import ANNOTATED, MANIFEST, SAMPLES, TIMELINE, VERDICT, run_folder, to_json, write_run
+from pipeline.outputs import (
+    ANNOTATED,
+    MANIFEST,
+    SAMPLES,
+    TIMELINE,
+    VERDICT,
+    put,
+    run_folder,
+    to_json,
+    write_run,
+)
 from pipeline.streaming import diagnose_parts
 from pipeline.summary import Row, verdict_row
 
@@ -53,6 +66,7 @@ class Task:
     vehicle: str | None = None
     timeline: bool = True
     force: bool = False
+    cache: Path | None = None
     debug: bool = False  # show the traceback of a log that failed
 
 
@@ -99,27 +113,58 @@ def _diagnosed(task: Task, detector: Detector) -> Row:
         raise LogError(
             f"{task.path}: {'a folder without logs' if task.path.is_dir() else 'there is no such file'}"
         )
-    digest = sha256(task.path)
-    key = _key(task, digest, detector)
+    content = sha256(task.path)
+    key = _key(task, content, detector)
     if not task.force and (row := _row(task, key)):
         return row
-    facts = {"sha256": digest, "path": str(task.path)}
+    facts = {"sha256": content, "path": str(task.path)}
+    if task.cache and not task.force and (row := _kept(task, key)):
+        return row
     if task.path.stat().st_size > WHOLE_BYTES:
         manifest = _in_parts(task, detector, key, facts, began)
     else:
         manifest = _whole(task, detector, key, facts, began)
+    if task.cache:
+        Cache(task.cache).keep_run(_run_key(task, key), task.folder)
     verdict = json.loads((task.folder / VERDICT).read_text(encoding="utf-8"))
     return _complete(task, verdict, manifest)
 
 
 def _whole(task: Task, detector: Detector, key: str, facts: Facts, began: float) -> Facts:
     """Diagnose a log in memory; its manifest."""
-    log = read_log(task.path, task.name_map)
+    log = _log(task, facts["sha256"])
     log = with_quality(replace(log, name=task.name, facts={**log.facts, **facts}))
     diagnosis = diagnose(log, detector, quality=quality(log))
     manifest = build_manifest(log, detector, key, _times(began))
     write_run(diagnosis, task.folder, manifest, timeline=task.timeline)
     return manifest
+
+
+def _log(task: Task, content: str) -> Log:
+    """The log, from the cache if there is one and it is of use: ours in Parquet is as quick to read."""
+    read = partial(read_log, task.path, task.name_map)
+    if task.cache is None or task.path.suffix == ".parquet":
+        return read()
+    return Cache(task.cache).log(content, task.map_sha256, read)
+
+
+def _kept(task: Task, key: str) -> Row | None:
+    """The row of a run that the cache has, now in the task's folder; its manifest says where it was made."""
+    assert task.cache is not None
+    cache, kept = Cache(task.cache), _run_key(task, key)
+    with draft_folder(task.folder) as draft:
+        if not cache.fetch_run(kept, draft):
+            return None
+        if row := _row(replace(task, folder=draft), key):
+            put(draft, task.folder)
+            return row
+    cache.forget_run(kept)
+    return None
+
+
+def _run_key(task: Task, key: str) -> str:
+    """What a run's files depend on beside its key: the name stands in them, and there may be no timeline."""
+    return digest("run", key, task.name, task.timeline)
 
 
 def _in_parts(task: Task, detector: Detector, key: str, facts: Facts, began: float) -> Facts:
@@ -142,8 +187,8 @@ def _times(began: float) -> dict[str, float | str]:
     return {"started": started, "seconds": round(time.perf_counter() - began, 3)}
 
 
-def _key(task: Task, digest: str, detector: Detector) -> str:
-    return run_key(digest, detector, {"map": task.map_sha256})
+def _key(task: Task, content: str, detector: Detector) -> str:
+    return run_key(content, detector, {"map": task.map_sha256})
 
 
 def _row(task: Task, key: str) -> Row | None:

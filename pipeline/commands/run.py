@@ -22,6 +22,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--force", action="store_true", help="diagnose again what is done")
     parser.add_argument("--only-failed", action="store_true", help="only logs that failed before")
     parser.add_argument("--dry-run", action="store_true", help="say what would be done, and do nothing")
+    parser.add_argument(
+        "--cache", type=Path, nargs="?", const=True, metavar="DIR",
+        help="keep read logs and finished runs for other calls, default ~/.cache/dynoscope",
+    )  # fmt: skip
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--workers", type=int, default=1, metavar="N", help="processes, default 1")
     where.add_argument(
@@ -35,6 +39,7 @@ def run(args: argparse.Namespace) -> int:
     from ingest.files import find_logs
     from ingest.maps import load_map
     from pipeline import batch
+    from pipeline.cache import default_folder
     from pipeline.console import Problems, print_json, print_table, progress, talk
     from pipeline.detector import check_recipe, unfitted_detector
     from pipeline.recipe import load_recipe
@@ -60,7 +65,8 @@ def run(args: argparse.Namespace) -> int:
     problems.raise_any()
     options = batch.Options(
         timeline=not args.no_timeline, force=args.force, only_failed=args.only_failed, name_map=args.map,
-        workers=args.workers, scheduler=args.scheduler, debug=args.debug,
+        workers=args.workers, scheduler=args.scheduler,
+        cache=default_folder() if args.cache is True else args.cache, debug=args.debug,
     )  # fmt: skip
     if args.dry_run:
         intents = [{"log": n, "would": w} for n, w in batch.to_do(paths, detector, args.out, options)]
