@@ -1,14 +1,16 @@
-"""Samples of MDF channels as columns of a table, and the blocks of a file in which they lie."""
+"""MDF channels as columns and signals, names of groups, and the blocks of a file in which samples lie."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from copy import copy
 from typing import Any
 
 import numpy as np
 import polars as pl
 from numpy.typing import NDArray
+
+from ingest.log import Signal
 
 _PIECE = 1 << 23  # bytes
 
@@ -33,6 +35,26 @@ def _pieces(block: Any, size: int) -> Iterator[Any]:
         piece.address = block.address + start
         piece.original_size = piece.compressed_size = min(size, block.original_size - start)
         yield piece
+
+
+def group_name(number: int, name: str, comment: str, taken: Container[str]) -> str:
+    """The name of channel group ``number``: its own, the first line of its comment, or numbered."""
+    line = (comment or "").strip().splitlines()[:1]
+    name = name or (line[0] if line and "<" not in line[0] else "") or f"group_{number + 1}"
+    return name if name not in taken else f"{name}_{number + 1}"
+
+
+def signal_of(name: str, source: str, unit: str, comment: str, dtype: pl.DataType) -> Signal:
+    """What the file says of a channel that is called ``name`` here."""
+    state = dtype == pl.String
+    return Signal(
+        name=name,
+        unit=None if state else unit.strip() or None,
+        kind="state" if state else "continuous",
+        resample="hold" if state else "linear",
+        source_name=source if source != name else None,
+        description="" if comment.startswith("<") else comment,
+    )
 
 
 def unique_name(name: str, taken: dict[str, Any]) -> str:

@@ -5,10 +5,12 @@ from __future__ import annotations
 import re
 from collections import Counter
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 import polars as pl
+from numpy.typing import NDArray
 
 from ingest.clock import Clock, parse_dates
 from ingest.dialect import Dialect, split
@@ -50,9 +52,10 @@ class Table:
         if self.dialect.separator == " ":
             body = re.sub(rb"[ \t]+", b" ", body).replace(b"\n ", b"\n").replace(b" \n", b"\n").lstrip(b" ")
         frame, body = self._numbers(body)
-        if frame.width and frame[frame.columns[-1]].null_count():
-            self.short += self._short_rows(body, frame.height)
-        frame = self._second_look(body, frame)
+        lines = Lines(body, frame.height)
+        if frame.width and (last := frame[frame.columns[-1]]).null_count():
+            self.short += self._short_rows(lines, last.is_null().arg_true())
+        frame = self._second_look(lines, frame)
         empty = frame[frame.columns[0]].is_null()
         if empty.any():
             frame = frame.filter(~pl.all_horizontal(pl.all().is_null()))
@@ -119,11 +122,12 @@ class Table:
         self.long += len(long)
         return b"\n".join(line for i, line in enumerate(lines) if i not in long)
 
-    def _short_rows(self, body: bytes, rows: int) -> int:
-        """Rows with fewer fields than names; they read as if the last cells were empty."""
-        whole = rows * (len(self.names) - 1)
-        if b'"' in body or body.count(self.dialect.separator.encode()) == whole:
+    def _short_rows(self, lines: Lines, doubtful: pl.Series) -> int:
+        """Rows with fewer fields than names; they read as if the last cells were empty. ``doubtful``: rows
+        without a last cell."""
+        if b'"' in lines.body:
             return 0  # a quoted separator is none
+        body, _ = lines.pick(doubtful)
         characters = np.frombuffer(body, np.uint8)
         ends = np.flatnonzero(characters == ord("\n"))
         separators = np.flatnonzero(characters == ord(self.dialect.separator))
@@ -132,18 +136,18 @@ class Table:
         width = len(self.names) - (not self.dialect.columns[-1].written)
         return int(((fields < width) & ~blank).sum())
 
-    def _second_look(self, body: bytes, frame: pl.DataFrame) -> pl.DataFrame:
+    def _second_look(self, lines: Lines, frame: pl.DataFrame) -> pl.DataFrame:
         """Columns with cells that were not numbers, read again as text."""
         first = self.states is None
         states = self.states = self.states or set()
-        points = self.dialect.decimal_comma and b"." in body  # the parser takes 1.234 for 1,234
+        points = self.dialect.decimal_comma and b"." in lines.body  # the parser takes 1.234 for 1,234
         doubtful = [i for i, n in enumerate(self.names) if points or n in states or frame[n].null_count()]
         if not doubtful:
             return frame
-        rows = pl.Series(range(frame.height), dtype=pl.UInt32)
+        body, rows = lines.body, pl.int_range(frame.height, dtype=pl.UInt32, eager=True)
         if not points and not states:
             rows = frame.select(pl.any_horizontal(pl.nth(doubtful).is_null())).to_series().arg_true()
-            body, rows = _lines(body, rows, frame.height)
+            body, rows = lines.pick(rows)
         cells = {c.name: c for c in self._read(body, pl.String, *doubtful)}
         for name, text in cells.items():
             number = frame[name].gather(rows)
@@ -176,9 +180,22 @@ class Table:
         self.odd[name] += len(words)
 
 
-def _lines(body: bytes, rows: pl.Series, height: int) -> tuple[bytes, pl.Series]:
-    """Only these rows of ``body``, where they are few and every line is a row; else all."""
-    if len(rows) * 10 < height and b'"' not in body and body.count(b"\n") == height:
-        lines = body.split(b"\n")
-        return b"\n".join(lines[i] for i in rows.to_list()) + b"\n", rows
-    return body, pl.Series(range(height), dtype=pl.UInt32)
+@dataclass
+class Lines:
+    """``body`` of ``height`` rows, line by line."""
+
+    body: bytes
+    height: int
+
+    @cached_property
+    def _ends(self) -> NDArray[np.int64]:
+        return np.flatnonzero(np.frombuffer(self.body, np.uint8) == ord("\n")) + 1
+
+    def pick(self, rows: pl.Series) -> tuple[bytes, pl.Series]:
+        """The text of these rows, where they are few and every line is a row, else of all; and which they
+        are."""
+        if len(rows) * 10 >= self.height or b'"' in self.body or len(self._ends) != self.height:
+            return self.body, pl.int_range(self.height, dtype=pl.UInt32, eager=True)
+        at = rows.to_numpy().astype(np.int64)
+        begins = np.where(at > 0, self._ends[at - 1], 0).tolist()
+        return b"".join(self.body[a:b] for a, b in zip(begins, self._ends[at].tolist(), strict=True)), rows

@@ -46,8 +46,8 @@ class TextFile:
         """The text behind its first ``skip`` bytes, in blocks of about ``size`` bytes (None: one block)."""
         carry = b""
         with self.path.open("rb") as file:
-            if self._plain(skip):
-                file.seek(skip)
+            if (offset := self._offset(skip)) is not None:
+                file.seek(offset)
                 skip = 0
             for piece in self._pieces(file, size):
                 text = self._without_zeros(piece)
@@ -59,10 +59,14 @@ class TextFile:
                     yield block
         self.remainder = _utf8(carry)[skip:]
 
-    def _plain(self, skip: int) -> bool:
-        """Whether a position in the text is one in the file."""
+    def _offset(self, skip: int) -> int | None:
+        """Where in the file the text behind its first ``skip`` bytes begins, which are whole lines: behind as
+        many lines. None where the file's lines are not those of the text."""
+        if self.utf_16 or self.bare_returns or self.zeros:
+            return None
+        lines = self.head(skip)[:skip].count(b"\n")
         with self.path.open("rb") as file:
-            return not (self.utf_16 or self.bare_returns or self.zeros) and file.read(skip).isascii()
+            return sum(len(file.readline()) for _ in range(lines))
 
     def _pieces(self, file: IO[bytes], size: int | None) -> Iterator[bytes]:
         decoder = codecs.getincrementaldecoder("utf-16")("replace") if self.utf_16 else None

@@ -23,11 +23,11 @@ from ingest.blocks import BLOCK_BYTES, join
 from ingest.errors import LogError
 from ingest.log import TIME, Event, Group, Log, Signal
 from ingest.maps import NameMap
-from ingest.mdf_samples import cut_blocks, series_of, unique_name
+from ingest.mdf_header import ABOUT, plain_recording
+from ingest.mdf_samples import cut_blocks, group_name, series_of, signal_of, unique_name
 from ingest.readers import Recording, check_declared, need
 from ingest.tables import distinct
 
-_ABOUT = "dynoscope.json"
 _TIME_MASTER = 1  # sync type of a time channel
 _MASTERS = (2, 3)  # channel types: master, virtual master
 _DAMAGE = (
@@ -49,6 +49,8 @@ def is_mine(path: Path, head: bytes) -> bool:
 
 def header(path: Path, names: NameMap) -> Recording:
     """Channels and row counts; the types are those of the first rows."""
+    if (plain := plain_recording(path)) is not None:
+        return plain
     with _opened(path, ranges=True) as file:
         found = _Mdf(path, file)
         log = found.part(0, rows=1)
@@ -165,9 +167,9 @@ class _Mdf:
     def _about(self) -> dict[str, Any]:
         attachments = self.file.attachments if self.file.version >= "4" else ()
         for i, attachment in enumerate(attachments):
-            if Path(attachment.file_name).name == _ABOUT:
+            if Path(attachment.file_name).name == ABOUT:
                 content, *_ = self.file.extract_attachment(index=i)
-                return parse_about(f"{self.path}, attachment {_ABOUT}", bytes(content))
+                return parse_about(f"{self.path}, attachment {ABOUT}", bytes(content))
         return {}
 
     def _groups(self) -> dict[str, int]:
@@ -175,10 +177,7 @@ class _Mdf:
         members: dict[str, int] = {}
         for i, group in enumerate(self.file.groups):
             info = group.channel_group
-            comment = (info.comment or "").strip().splitlines()
-            name = getattr(info, "acq_name", "") or (comment[0] if comment and "<" not in comment[0] else "")
-            name = name or f"group_{i + 1}"
-            name = name if name not in members else f"{name}_{i + 1}"
+            name = group_name(i, getattr(info, "acq_name", ""), info.comment, members)
             master = self.file.masters_db.get(i)
             is_time = master is not None and getattr(group.channels[master], "sync_type", 1) == _TIME_MASTER
             if is_time:
@@ -234,16 +233,7 @@ class _Mdf:
     def _signal(self, name: str, signal: Any, column: pl.Series) -> Signal:
         if name in (known := self.about.get("signals", {})):
             return Signal.from_metadata(name, known[name])
-        state = column.dtype == pl.String
-        comment = str(signal.comment or "")
-        return Signal(
-            name=name,
-            unit=None if state else str(signal.unit or "").strip() or None,
-            kind="state" if state else "continuous",
-            resample="hold" if state else "linear",
-            source_name=signal.name if signal.name != name else None,
-            description="" if comment.startswith("<") else comment,
-        )
+        return signal_of(name, signal.name, str(signal.unit or ""), str(signal.comment or ""), column.dtype)
 
 
 class _Nothing:
@@ -267,7 +257,7 @@ def write(log: Log, path: Path) -> None:
         signals_about = {n: s.to_metadata() for n, s in log.signals.items()}
         events = [e.to_json() for e in log.events]
         text = about_json(log, events=events, signals=signals_about)
-        file.attach(text.encode(), file_name=_ABOUT, mime="application/json", embedded=True)
+        file.attach(text.encode(), file_name=ABOUT, mime="application/json", embedded=True)
         file.save(path, overwrite=True, compression=2)
 
 

@@ -1,11 +1,15 @@
 from __future__ import annotations
 
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import polars as pl
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from ingest import read_log, write_log
 from ingest.blocks import join
@@ -13,6 +17,7 @@ from ingest.errors import LogError
 from ingest.files import read_blocks, read_header
 from ingest.log import Event, Group, Log, Signal
 from ingest.maps import NameMap, SignalMap
+from ingest.mdf_header import plain_recording
 from ingest.readers import mdf
 
 asammdf = pytest.importorskip("asammdf")
@@ -73,6 +78,59 @@ def test_header_and_parts(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert all(joined.groups[k].frame.height == g.frame.height for k, g in whole.groups.items())
     assert joined.groups["ecu"].frame.drop("p_Bst").equals(whole.groups["ecu"].frame.drop("p_Bst"))
     assert join(read_blocks(path)).equals(whole)
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """All plain types, with and without a linear conversion, and texts."""
+    path = tmp_path_factory.mktemp("mdf") / "plain.mf4"
+    signals, words = [], {"val_0": 0, "text_0": b"off", "default": b"?"}
+    for kind in ("u1", "u2", "u4", "u8", "i1", "i2", "i4", "i8", "f2", "f4", "f8", ">i4", ">f8"):
+        values = np.arange(5).astype(kind)
+        for a, b in ((2.0, 1.0), (1.0, 0.0)):
+            conversion = {"a": a, "b": b}
+            signals += [asammdf.Signal(values, TIME[:5], name=f"{kind}_{a}", unit="V", conversion=conversion)]
+        signals += [asammdf.Signal(values, TIME[:5], name=kind, unit="°C", comment=f"<CNcomment>{kind}")]
+    signals += [asammdf.Signal(np.arange(5, dtype="u1"), TIME[:5], name="switch", conversion=words)]
+    signals += [
+        asammdf.Signal(np.array([b"a", b"bb", b"", b"c", b"d"]), TIME[:5], name="s", encoding="utf-8")
+    ]
+    with asammdf.MDF(version="4.10") as file:
+        file.append(signals, acq_name="ecu", comment="a comment")
+        file.append([asammdf.Signal(VALUES, TIME, name="u1", unit="V")], comment="bench\nx")
+        file.save(path, overwrite=True, compression=0)
+    return path
+
+
+def test_a_plain_header_is_that_of_asammdf(
+    plain: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files = [plain, *sorted(REAL.glob("*.mf4"))]
+    for compression in (0, 2):
+        with asammdf.MDF(plain) as file:
+            files.append(Path(file.save(tmp_path / f"{compression}.mf4", compression=compression)))
+    log = read_log(plain)
+    files.append(write_log(replace(log, facts={"seed": 1}), tmp_path / "ours.mf4"))
+    light = {f: plain_recording(f) for f in files}
+    assert all(light[f] is not None for f in files if f.parent != REAL)
+    monkeypatch.setattr(mdf, "plain_recording", lambda path: None)
+    for file, found in light.items():
+        if found is not None:
+            other = mdf.header(file, NameMap())
+            assert found.log.equals(other.log), file
+            assert (found.log.facts, found.ours) == (other.log.facts, other.ours), file
+
+
+@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_a_damaged_header_is_left_to_asammdf(data: st.DataObject, plain: Path, tmp_path: Path) -> None:
+    content = bytearray(plain.read_bytes())
+    for _ in range(data.draw(st.integers(1, 4))):
+        content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
+    bad = tmp_path / "bad.mf4"
+    bad.write_bytes(content[: data.draw(st.integers(0, len(content)))])
+    with suppress(LogError):  # it declares more than this machine can hold
+        plain_recording(bad)
 
 
 def test_version_3(tmp_path: Path) -> None:
