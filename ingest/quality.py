@@ -18,10 +18,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import polars as pl
-from numpy.typing import NDArray
 
-from ingest.log import Event, Group, Log
-from ingest.sampling import LISTED, Floats, clock_events, clock_quality, event, number
+from ingest.log import Event, Log
+from ingest.sampling import LISTED, Floats, Sampling, event, number
 
 _PLATEAU = 3  # samples
 _STUCK, _STUCK_S = 20, 3.0  # samples and s
@@ -45,7 +44,7 @@ class Samples:
 
     rows: int = 0
     missing: int = 0
-    masks: list[tuple[int, bytes]] = field(default_factory=list)  # rows and packed "is there" of each part
+    clock: Sampling | None = None  # of the samples that are there, once one is missing
     low: Any = None
     high: Any = None
     varies: bool = False
@@ -62,11 +61,14 @@ class Samples:
         default_factory=list
     )  # height and time of what may be spikes
 
-    def add(self, time: Floats, values: pl.Series) -> None:
-        """Takes in the next rows."""
+    def add(self, time: Floats, values: pl.Series, clock: Sampling) -> None:
+        """Takes in the next rows; ``clock`` knows the stamps of all rows before."""
         present = values.is_not_null()
         missing = values.null_count()
-        self.masks.append((len(values), np.packbits(present.to_numpy()).tobytes() if missing else b""))
+        if missing and self.clock is None:
+            self.clock = clock.copy()
+        if self.clock is not None:
+            self.clock.add(time[present.to_numpy()])
         self.rows, self.missing = self.rows + len(values), self.missing + missing
         known = values.filter(present) if missing else values
         if not len(known):
@@ -189,57 +191,43 @@ class Samples:
             inside, key=lambda r: r.start - r.end
         )
 
-    def present(self) -> NDArray[np.bool_] | None:
-        """Which rows have a value, shape (rows,); None where all have."""
-        if not self.missing:
-            return None
-        parts = [
-            np.unpackbits(np.frombuffer(bits, np.uint8), count=n).astype(bool) if bits else np.ones(n, bool)
-            for n, bits in self.masks
-        ]
-        return np.concatenate(parts)
-
 
 class Quality:
     """Adds up the parts of a log: ``add`` each, then ask."""
 
     def __init__(self) -> None:
-        self.times: dict[str, list[Floats]] = {}
+        self.clocks: dict[str, Sampling] = {}
         self.samples: dict[str, dict[str, Samples]] = {}
 
     def add(self, part: Log) -> None:
         for name, group in part.groups.items():
-            self.times.setdefault(name, []).append(group.time)
+            clock = self.clocks.setdefault(name, Sampling())
             known = self.samples.setdefault(name, {s: Samples() for s in group.signals})
-            self._add_group(known, group)
+            for signal, samples in known.items():
+                samples.add(group.time, group.frame[signal], clock)
+            clock.add(group.time)
 
-    def _add_group(self, known: dict[str, Samples], group: Group) -> None:
-        for signal, samples in known.items():
-            samples.add(group.time, group.frame[signal])
-
-    def time(self, group: str) -> Floats:
-        """All time stamps of a group."""
-        return np.concatenate(self.times[group]) if self.times.get(group) else np.empty(0)
+    def clock(self, group: str) -> Sampling:
+        """The time stamps of a group."""
+        return self.clocks.get(group) or Sampling()
 
     def of_signals(self) -> Iterator[tuple[str, str, dict[str, Any]]]:
         """Group, signal and what is found of it; its sampling is that of the samples that are there."""
         for group, known in self.samples.items():
-            time = self.time(group)
-            whole = clock_quality(time)
+            whole = self.clock(group).quality()
             for name, samples in known.items():
-                present = samples.present()
-                clock = whole if present is None else clock_quality(time[present])
-                yield group, name, {**clock, **samples.finish()}
+                sampling = whole if samples.clock is None else samples.clock.quality()
+                yield group, name, {**sampling, **samples.finish()}
 
     @property
     def span(self) -> list[float] | None:
         """First and last time in s, None without a row."""
-        ends = [(float(t.min()), float(t.max())) for t in map(self.time, self.times) if len(t)]
-        return [min(e[0] for e in ends), max(e[1] for e in ends)] if ends else None
+        known = [c for c in self.clocks.values() if c.rows]
+        return [min(c.low for c in known), max(c.high for c in known)] if known else None
 
     def events(self) -> tuple[Event, ...]:
         """What is suspicious and has a place in time, in order of time; the worst of each kind and signal."""
-        found = [e for group in self.samples for e in clock_events(self.time(group))]
+        found = [e for clock in self.clocks.values() for e in clock.events()]
         for known in self.samples.values():
             for name, samples in known.items():
                 samples.finish()

@@ -8,7 +8,6 @@ from typing import Any
 from ingest.log import Log, Signal
 from ingest.mapping import UNIT_ASSUMED, UNIT_FROM_MAP
 from ingest.quality import Quality
-from ingest.sampling import clock_quality
 
 QUALITY = "quality"
 """Source of the events that :func:`with_quality` adds."""
@@ -40,7 +39,7 @@ def describe(log: Log, found: Quality | None = None) -> dict[str, Any]:
     known = _found(log, found)
     groups = {}
     for name, group in log.groups.items():
-        clock = clock_quality(known.time(name))
+        clock = known.clock(name).quality()
         groups[name] = {**clock, **({"rows": rows[name]} if rows else {}), "signals": list(group.signals)}
     return {
         "log": log.name,

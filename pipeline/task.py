@@ -23,6 +23,7 @@ from ingest.errors import DynoscopeError, LogError
 from ingest.files import read_blocks, read_header, sha256
 from ingest.log import Log
 from ingest.maps import NameMap
+from ingest.quality import Quality
 from ingest.report import quality, with_quality
 from pipeline.cache import Cache
 from pipeline.detector import Detector, restore
@@ -133,8 +134,10 @@ def _diagnosed(task: Task, detector: Detector) -> Row:
 def _whole(task: Task, detector: Detector, key: str, facts: Facts, began: float) -> Facts:
     """Diagnose a log in memory; its manifest."""
     log = _log(task, facts["sha256"])
-    log = with_quality(replace(log, name=task.name, facts={**log.facts, **facts}))
-    diagnosis = diagnose(log, detector, quality=quality(log))
+    found = Quality()
+    found.add(log)
+    log = with_quality(replace(log, name=task.name, facts={**log.facts, **facts}), found)
+    diagnosis = diagnose(log, detector, quality=quality(log, found))
     manifest = build_manifest(log, detector, key, _times(began))
     write_run(diagnosis, task.folder, manifest, timeline=task.timeline)
     return manifest

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -77,11 +78,20 @@ class Align:
         wanted = self._wanted(block)
         kept = {name: self._append(state.kept.get(name), block.groups[name], s) for name, s in wanted.items()}
         rows, ready = self._rows(kept, block, state.done)
-        series = {
-            name: self._resample(kept[g], rows, block.groups[g].signals[name], g == self._lead(block))
-            for g, names in wanted.items()
-            for name in names
-        }
+        lead = self._lead(block)
+        series: dict[str, NDArray[np.float64]] = {}
+        for group, names in wanted.items():
+            near = _Near(kept[group][TIME].to_numpy(), rows)
+            for name in names:
+                column, signal = kept[group][name], block.groups[group].signals[name]
+                if column.null_count():
+                    there = column.is_not_null().to_numpy()
+                    sparse = _Near(near.t[there], rows)
+                    series[name] = self._resample(
+                        sparse, column.drop_nulls().to_numpy(), signal, group == lead
+                    )
+                else:
+                    series[name] = self._resample(near, column.to_numpy(), signal, group == lead)
         names = [n for n in (*self.signals, *self.optional) if n in series]
         frame = pl.DataFrame(
             {TIME: rows, **{n: series[n] for n in names}}, schema_overrides={TIME: pl.Float64}
@@ -143,37 +153,82 @@ class Align:
         return rows, (float(rows[-1]) if rows.size else done)
 
     def _resample(
-        self, frame: pl.DataFrame, rows: NDArray[np.float64], signal: Signal, own: bool
+        self, near: _Near, x: NDArray[np.float64], signal: Signal, own: bool
     ) -> NDArray[np.float64]:
-        known = frame.select(TIME, signal.name).drop_nulls()
-        t, x = known[TIME].to_numpy(), known[signal.name].to_numpy()
+        """Values at the rows from samples ``x`` at the times of ``near``."""
+        t, rows = near.t, near.rows
         hold = signal.resample == "hold" or signal.kind != "continuous"
         if not t.size or not rows.size:
             return np.full(rows.size, np.nan)
-        upto = np.searchsorted(t, rows + 1e-9, side="right")  # samples at or before each row
-        before, after = np.maximum(upto - 1, 0), np.minimum(upto, t.size - 1)
-        exact = (upto > 0) & (np.abs(t[before] - rows) <= 1e-9)
-        value = np.where(exact, x[before], np.nan)
+        value = np.where(near.exact, x[near.before], np.nan)
         if own or signal.resample == "none":
             return value
         if hold:
-            return np.where((upto > 0) & (rows - t[before] <= self.max_gap_s), x[before], np.nan)
-        width = t[after] - t[before]
-        inside = ~exact & (upto > 0) & (upto < t.size) & (width <= self.max_gap_s)
-        share = np.where(inside, (rows - t[before]) / np.where(width > 0, width, 1.0), 0.0)
-        value = np.where(inside, x[before] + share * (x[after] - x[before]), value)
+            return np.where(
+                (near.upto > 0) & (rows - t[near.before] <= self.max_gap_s), x[near.before], np.nan
+            )
+        between = near.between(self.max_gap_s)
+        left, right = x[near.before[between]], x[near.after[between]]
+        value[between] = left + near.share[between] * (right - left)
         if self.raster_s > 0:
-            start = np.searchsorted(t, rows - self.raster_s + 1e-9, side="right")
-            several = np.flatnonzero(upto - start >= 2)
-            pairs = np.column_stack([start[several], upto[several]]).ravel()
+            several, pairs, count = near.means(self.raster_s)
             total = np.add.reduceat(np.append(x, 0.0), pairs)[::2] if pairs.size else np.empty(0)
-            value[several] = total / (upto - start)[several]
+            value[several] = total / count
         return value
 
     def _trim(self, frame: pl.DataFrame, done: float) -> pl.DataFrame:
         """What later rows may still need: neighbours further back are too far away to count."""
         reach = max(self.raster_s, self.max_gap_s) + 1e-6
         return frame.slice(int(np.searchsorted(frame[TIME].to_numpy(), done - reach, side="left")))
+
+
+@dataclass(frozen=True, eq=False)
+class _Near:
+    """Where ``rows`` lie among the sorted times ``t``; the same for all signals of a group without gaps."""
+
+    t: NDArray[np.float64]
+    rows: NDArray[np.float64]
+
+    @cached_property
+    def upto(self) -> NDArray[np.intp]:
+        """Samples at or before each row."""
+        return np.searchsorted(self.t, self.rows + 1e-9, side="right")
+
+    @cached_property
+    def before(self) -> NDArray[np.intp]:
+        return np.maximum(self.upto - 1, 0)
+
+    @cached_property
+    def after(self) -> NDArray[np.intp]:
+        return np.minimum(self.upto, self.t.size - 1)
+
+    @cached_property
+    def exact(self) -> NDArray[np.bool_]:
+        """Whether a row has a sample of its own."""
+        return np.asarray((self.upto > 0) & (np.abs(self.t[self.before] - self.rows) <= 1e-9))
+
+    @cached_property
+    def width(self) -> NDArray[np.float64]:
+        return np.asarray(self.t[self.after] - self.t[self.before])
+
+    @cached_property
+    def share(self) -> NDArray[np.float64]:
+        """How far a row is on its way from the sample before to the one after."""
+        width = np.where(self.width > 0, self.width, 1.0)
+        return np.asarray((self.rows - self.t[self.before]) / width)
+
+    def between(self, max_gap_s: float) -> NDArray[np.intp]:
+        """Rows between two samples that are not too far apart."""
+        inside = ~self.exact & (self.upto > 0) & (self.upto < self.t.size) & (self.width <= max_gap_s)
+        return np.flatnonzero(inside)
+
+    def means(self, raster_s: float) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
+        """Rows with two samples or more in the step that ends there; first and end index of these samples,
+        one after the other; and their number."""
+        start = np.searchsorted(self.t, self.rows - raster_s + 1e-9, side="right")
+        several = np.flatnonzero(self.upto - start >= 2)
+        pairs = np.column_stack([start[several], self.upto[several]]).ravel()
+        return several, pairs, (self.upto - start)[several]
 
 
 def _last_known(frame: pl.DataFrame, names: Sequence[str]) -> float:
