@@ -1,0 +1,276 @@
+"""What batches withstand and what they cost.
+
+``python -m benchmarks.batch [--part 1 2 3 4] [--drives N]`` at the top of the repository, on two idle cores.
+Ratios are of times in the same run, on the wall or of the processors (cpu), which others change less.
+"""
+
+from __future__ import annotations
+
+import os
+
+for variable in ("POLARS_MAX_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
+    os.environ.setdefault(variable, "1")  # what is measured is one core
+
+import argparse
+import json
+import random
+import signal
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+
+from benchmarks.batch_drives import RECIPE, damage, detector, drive, repeated, thin, write_drives
+from benchmarks.ingest import show, took
+from ingest import read_log, write_log
+from pipeline import run
+from pipeline.batch import Options
+from pipeline.detector import Detector
+from pipeline.diagnosing import diagnose
+from pipeline.outputs import write_run
+
+PLAIN = Options(timeline=False, force=True)
+DAMAGED = 10
+RESULTS = ("summary.parquet", "summary.csv", "fleet.csv", "vehicles.json")
+
+
+def crashes(folder: Path, known: Detector, count: int) -> None:
+    """Part 1: a batch that is killed three times, and its workers, against one that is left alone."""
+    drives = folder / "drives"
+    drives.mkdir()
+    for i in range(count):
+        path = write_log(drive(i, 300.0), drives / f"drive{i:03d}{('.mcap', '.parquet')[i % 2]}")
+        if i < DAMAGED:
+            damage(path, i)
+    undisturbed, disturbed = folder / "undisturbed", folder / "disturbed"
+    whole = took(lambda: command(drives, folder, undisturbed).wait()).wall
+    dice = random.Random(7)
+    for _ in range(3):
+        main = command(drives, folder, disturbed)
+        time.sleep(dice.uniform(0.15, 0.35) * whole)
+        workers = children(main.pid)
+        if workers:
+            os.kill(dice.choice(workers), signal.SIGKILL)
+            time.sleep(0.5)
+        main.kill()
+        main.wait()
+        so_far = pl.read_parquet(disturbed / "summary.parquet")
+        print(f"  killed with {so_far.height} of {count} logs in the summary")
+    main = command(drives, folder, disturbed)
+    time.sleep(0.1 * whole)
+    for worker in children(main.pid):
+        os.kill(worker, signal.SIGKILL)
+    main.wait()
+    same = all((undisturbed / n).read_bytes() == (disturbed / n).read_bytes() for n in RESULTS)
+    show("killed three times, and workers: the same, byte for byte", str(same), "True", same)
+    summary = pl.read_parquet(undisturbed / "summary.parquet")
+    print(summary.group_by("status").len().sort("status"))
+    print(summary.filter(pl.col("status") != "ok").select("log", "status", "reason").head(DAMAGED))
+    good = summary.filter(pl.col("log") >= f"drive{DAMAGED:03d}")
+    bad = summary.filter(pl.col("log") < f"drive{DAMAGED:03d}", pl.col("status") != "ok")
+    done = (good["status"] == "ok").all() and good.height == count - DAMAGED
+    show("all good logs done", f"{(good['status'] == 'ok').sum()} of {good.height}", "all", bool(done))
+    show("all damaged logs reported", f"{bad.height} of {DAMAGED}", "all", bad.height == DAMAGED)
+    named = good.select((pl.col("fault") == pl.col("truth").fill_null("none")).mean()).item()
+    print(f"  faults named rightly, for the record: {named:.0%} of drives of 5 minutes")
+
+
+def command(drives: Path, folder: Path, out: Path) -> subprocess.Popen[bytes]:
+    words = ["run", drives, "--recipe", RECIPE, "--store", folder / "store", "--out", out, "--no-timeline"]
+    words = [sys.executable, "-m", "pipeline.cli", *words, "--workers", "2"]
+    return subprocess.Popen([str(w) for w in words], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+
+def children(pid: int) -> list[int]:
+    """Worker processes of a batch."""
+    found = []
+    for task in Path(f"/proc/{pid}/task").iterdir():
+        found += [int(c) for c in (task / "children").read_text().split()]
+    return [c for c in found if b"spawn_main" in Path(f"/proc/{c}/cmdline").read_bytes()]
+
+
+def speed_up(folder: Path, known: Detector) -> None:
+    """Part 2: two processes, and two workers of a cluster, against one."""
+    paths = write_drives(folder / "speed", 120, 900.0, different=12)
+    few = paths[:8]
+
+    def seconds(options: Options) -> float:
+        run(few, known, folder / "out", options)  # its processes start, its files are in memory
+        per_log = [took(lambda n=n: run(paths[:n], known, folder / "out", options)).wall for n in (20, 120)]
+        return (per_log[1] - per_log[0]) / 100  # without starting
+
+    one = seconds(PLAIN)
+    two = seconds(replace(PLAIN, workers=2))
+    show("two processes", f"{one / two:.2f} x one", ">= 1.7", one / two >= 1.7)
+    with cluster(folder, 1) as address:
+        one = seconds(replace(PLAIN, scheduler=address))
+    with cluster(folder, 2) as address:
+        two = seconds(replace(PLAIN, scheduler=address))
+    show("two dask workers", f"{one / two:.2f} x one", ">= 1.6", one / two >= 1.6)
+
+
+@contextmanager
+def cluster(folder: Path, workers: int) -> Iterator[str]:
+    """A scheduler and workers on loopback; the address."""
+    known = Path(tempfile.mkdtemp(dir=folder)) / "scheduler.json"
+    common = ["--scheduler-file", str(known), "--no-dashboard", "--host", "127.0.0.1"]
+
+    def dask(*words: str) -> subprocess.Popen[bytes]:
+        words = (sys.executable, "-m", f"distributed.cli.dask_{words[0]}", *common, *words[1:])
+        return subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, cwd=known.parent)
+
+    running = [dask("scheduler", "--port", "0")]
+    running += [dask("worker", "--nthreads", "1", "--no-nanny") for _ in range(workers)]
+    try:
+        while not known.exists():
+            time.sleep(0.1)
+        time.sleep(5.0)
+        yield json.loads(known.read_text())["address"]
+    finally:
+        for process in running:
+            process.kill()
+            process.wait()
+
+
+def growth(folder: Path, known: Detector) -> None:
+    """Part 3: the cost of one more log, and of one more hour."""
+    paths = write_drives(folder / "many", 1000, 60.0, different=20)
+    run(paths[:5], known, folder / "warm", PLAIN)
+    costs = {n: took(lambda n=n: run(paths[:n], known, folder / f"out{n}", PLAIN)) for n in (10, 100, 1000)}
+    for kind in ("cpu", "wall"):
+        t = {n: getattr(cost, kind) for n, cost in costs.items()}
+        few, many = (t[100] - t[10]) / 90, (t[1000] - t[100]) / 900
+        what = f"a log more: {1e3 * few:.1f} ms from 10 to 100, {1e3 * many:.1f} from 100 to 1000 ({kind})"
+        show(what, f"{many / few:.3f}", "0.9 .. 1.1", 0.9 <= many / few <= 1.1)
+    overhead(paths[0], known, folder)
+    hour = thin(drive(5, 3600.0))
+    short = write_log(hour, folder / "hour.parquet")
+    long = repeated(hour, 100, folder / "long.parquet")
+    one = measured(folder, [short] * 1, folder / "one")
+    hundred = measured(folder, [long], folder / "hundred")
+    ten = measured(folder, [repeated(hour, 20, folder / "twenty.parquet")], folder / "twenty")
+    ratio = hundred["cpu"] / (100 * one["cpu"])
+    show(
+        f"100 h at once: {hundred['cpu']:.0f} s cpu, 1 h: {one['cpu']:.2f}",
+        f"{ratio:.2f}",
+        "<= 1.2",
+        ratio <= 1.2,
+    )
+    memory = hundred["mb"] / ten["mb"]
+    what = f"memory: {one['mb']:.0f} MB for 1 h, {ten['mb']:.0f} for 20 h, {hundred['mb']:.0f} for 100 h"
+    show(what, f"{memory:.2f}", "<= 1.1", memory <= 1.1)
+
+
+def overhead(path: Path, known: Detector, folder: Path) -> None:
+    """What a log costs beside reading, mathematics and writing its files."""
+    many = [path] * 1
+    for i in range(50):
+        copy = folder / "copies" / f"c{i}.parquet"
+        copy.parent.mkdir(exist_ok=True)
+        copy.hardlink_to(path)
+        many.append(copy)
+    whole = took(lambda: run(many[1:], known, folder / "copied", PLAIN)).wall / 50
+
+    def needed() -> None:
+        diagnosis = diagnose(read_log(path), known)
+        write_run(diagnosis, folder / "needed" / "x", {}, timeline=False)
+
+    needed()
+    least = statistics.median(took(needed).wall for _ in range(20))
+    each = 1e3 * (whole - least)
+    show("a log's overhead beside reading, diagnosing, writing", f"{each:.1f} ms", "<= 50", each <= 50)
+
+
+def measured(folder: Path, paths: list[Path], out: Path) -> dict[str, float]:
+    """CPU seconds and most memory of a batch, in a process of its own, without what starting takes."""
+    code = (
+        "import json, resource, sys, time\n"
+        "from pathlib import Path\n"
+        "from benchmarks.batch import PLAIN, RECIPE\n"
+        "from pipeline import run\n"
+        "from pipeline.store import Store\n"
+        "store, out, warm, *paths = map(Path, sys.argv[1:])\n"
+        "known = Store(store).get(RECIPE)\n"
+        "run([warm], known, out, PLAIN)\n"
+        "began = time.process_time()\n"
+        "run(paths, known, out, PLAIN)\n"
+        "print(json.dumps({'cpu': time.process_time() - began,\n"
+        "    'mb': resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024}))\n"
+    )
+    words = [folder / "store", out, next((folder / "many").iterdir()), *paths]
+    done = subprocess.run(
+        [sys.executable, "-c", code, *map(str, words)], capture_output=True, text=True, check=True
+    )
+    return dict(json.loads(done.stdout))
+
+
+def end_to_end(folder: Path, known: Detector) -> None:
+    """Part 4: an hour's log, against reading it and writing the same outputs, and against real time."""
+    seconds, out = 3600.0, folder / "hours"
+    path = write_log(thin(drive(5, seconds)), folder / "one_hour.parquet")
+    diagnosis = diagnose(read_log(path), known)
+
+    def floor() -> None:
+        read_log(path)
+        write_run(diagnosis, folder / "floor" / "x", {}, timeline=False)
+
+    def ours(options: Options) -> Callable[[], Any]:
+        return lambda: run([path], known, out, options)
+
+    plain, timeline = ours(PLAIN), ours(replace(PLAIN, timeline=True))
+    for work in (floor, plain, timeline):
+        work()
+    rounds = [(took(plain), took(floor), took(timeline)) for _ in range(7)]
+    for kind in ("wall", "cpu"):
+        a, b, c = (statistics.median(getattr(r[i], kind) for r in rounds) for i in range(3))
+        show(f"without timeline, against reading and writing ({kind})", f"{a / b:.2f}", "<= 3", a / b <= 3)
+        show(
+            f"without timeline, times real time ({kind})",
+            f"{seconds / a:.0f}",
+            ">= 2500",
+            seconds / a >= 2500,
+        )
+        show(f"with timeline, times real time ({kind})", f"{seconds / c:.0f}", ">= 1200", seconds / c >= 1200)
+    stages(path, known)
+
+
+def stages(path: Path, known: Detector) -> None:
+    """Where the time goes."""
+    from stages.stage import transform
+
+    log = read_log(path)
+    whole = took(lambda: transform(known.stages, log)).cpu
+    without = took(lambda: transform(known.stages[:-1], log)).cpu
+    last = known.recipe.uses[-1]
+    print(f"  cpu of the stages: {whole:.2f} s, of these {last} {whole - without:.2f} s")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--part", type=int, nargs="+", default=[1, 2, 3, 4])
+    parser.add_argument("--drives", type=int, default=200, help="of part 1")
+    args = parser.parse_args()
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        known = detector(folder)
+        print(f"load of the machine: {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores")
+        if 1 in args.part:
+            crashes(folder, known, args.drives)
+        if 2 in args.part:
+            speed_up(folder, known)
+        if 3 in args.part:
+            growth(folder, known)
+        if 4 in args.part:
+            end_to_end(folder, known)
+
+
+if __name__ == "__main__":
+    main()
