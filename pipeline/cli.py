@@ -13,7 +13,8 @@ from pathlib import Path
 from ingest.errors import DynoscopeError
 
 COMMANDS = (
-    "demo", "simulate", "ingest", "inspect", "identify", "fit", "run", "view", "recipe", "cache", "explain",
+    "demo", "simulate", "ingest", "inspect", "identify", "select", "fit", "run", "view", "recipe", "cache",
+    "explain",
 )  # fmt: skip
 DONE, FAILED, WRONG = 0, 1, 2
 

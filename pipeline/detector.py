@@ -20,6 +20,8 @@ from ingest.log import Log
 from pipeline.digest import arrays_sha256, digest
 from pipeline.files import write_aside
 from pipeline.recipe import Recipe, build_recipe
+from pipeline.template import bound, with_signals
+from stages.select_inputs import SelectInputs
 from stages.stage import Learner, Stage, connected
 
 FORMAT = 1
@@ -71,10 +73,18 @@ def new_detector(
         "calibration": [_source(log) for log in calibration],
         "arrays_sha256": arrays_sha256(draft.arrays),
     }
+    if selected := _selected(draft.stages):
+        content["selected"] = selected
     created = datetime.now(UTC).isoformat(timespec="seconds")
     return replace(
         draft, record={"key": digest(content), **content, "notes": list(notes), "created": created}
     )
+
+
+def _selected(stages: Sequence[Stage]) -> dict[str, list[str]]:
+    """The regressors that were selected, by relation."""
+    learned = [stage for stage in stages if isinstance(stage, SelectInputs) and stage.learned]
+    return {name: list(stage.chosen(name)) for stage in learned for name in stage.targets}
 
 
 def unfitted_detector(recipe: Recipe) -> Detector:
@@ -178,7 +188,10 @@ def check_recipe(detector: Detector, recipe: Recipe) -> None:
     Raises:
         StoreError: they differ; the message says where.
     """
+    names = [*detector.recipe.outputs, *detector.recipe.inputs]
     old, new = detector.recipe.to_json(), recipe.to_json()
+    if recipe.template and detector.recipe.outputs:  # the detector says which signals
+        new = bound(with_signals(recipe, detector.recipe.outputs, detector.recipe.inputs), names).to_json()
     if old == new:
         return
     where = [k for k in old if k != "stage" and old[k] != new[k]]

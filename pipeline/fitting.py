@@ -17,6 +17,7 @@ from ingest.errors import LogError
 from ingest.log import Log
 from pipeline.detector import Detector, new_detector
 from pipeline.recipe import Recipe
+from pipeline.template import bound, common_signals
 from stages.stage import ANALYSIS, Learner, Stage, connected, transform
 from stages.verdict import usable_seconds
 
@@ -36,6 +37,7 @@ def fit(
     """
     if not logs:
         raise LogError("no logs to fit on; give at least one fault-free log")
+    recipe = bound(recipe, common_signals([*logs, *calibrate]))
     prepare, models, decide = _sections(recipe.stages)
     progress(f"preparing {len(logs) + len(calibrate)} log(s): {', '.join(recipe.uses[: len(prepare)])}")
     training = [transform(prepare, log) for log in logs]

@@ -8,6 +8,9 @@
     use = "align"                       # a built-in stage, or "my_module:MyStage"
     signals = ["p_Int", "W_HFM"]        # its settings are the fields of its class
 
+A recipe for any signals (:mod:`pipeline.template`) names them in its head, by patterns such as ``outputs =
+["y*"]``, and has ``{y}`` and ``{u}`` in its stages.
+
 A recipe is checked whole: every mistake is listed at once.
 """
 
@@ -27,6 +30,7 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError, create_model
 
 from ingest.errors import RecipeError, did_you_mean
 from pipeline.digest import NOT_SETTINGS, settings
+from pipeline.template import filled
 from stages import STAGES
 from stages.align import Align
 from stages.stage import Stage
@@ -42,13 +46,16 @@ class Recipe:
     title: str = ""
     min_evidence_s: float = 45.0
     channels: Mapping[str, str] = field(default_factory=dict)
+    outputs: tuple[str, ...] = ()
+    inputs: tuple[str, ...] = ()
     stages: tuple[Stage, ...]
     uses: tuple[str, ...]
+    template: tuple[Mapping[str, Any], ...] = ()  # stages in terms of outputs and inputs
 
     @property
     def signals(self) -> tuple[str, ...]:
-        """Signals that a log must have."""
-        return self._first.signals
+        """Signals that a log must have; patterns, where it is a template."""
+        return (*self.outputs, *self.inputs) if self.template else self._first.signals
 
     @property
     def optional_signals(self) -> tuple[str, ...]:
@@ -61,9 +68,10 @@ class Recipe:
     def to_json(self) -> dict[str, Any]:
         """Plain values, enough to build the recipe again with :func:`build_recipe`."""
         stages = [{"use": u, **settings(s)} for u, s in zip(self.uses, self.stages, strict=True)]
+        named = {k: list(v) for k in ("outputs", "inputs") if (v := getattr(self, k))}
         return {
             "title": self.title, "min_evidence_s": self.min_evidence_s, "channels": dict(self.channels),
-            "stage": stages,
+            **named, "stage": list(self.template) or stages,
         }  # fmt: skip
 
     def versions(self) -> dict[str, str]:
@@ -121,9 +129,10 @@ def build_recipe(name: str, data: Mapping[str, Any]) -> Recipe:
     """
     head = {k: v for k, v in data.items() if k != "stage"}
     problems: list[str] = []
-    known = {f.name: f for f in fields(Recipe) if f.name not in ("name", "stages", "uses")}
+    known = {f.name: f for f in fields(Recipe) if f.name not in ("name", "stages", "uses", "template")}
     values = _validate(Recipe, known, head, "", problems) or {}
-    listed = data.get("stage")
+    written = data.get("stage")
+    listed = filled(written, values.get("outputs", ()), values.get("inputs", ()))
     if not isinstance(listed, list) or not listed or not all(isinstance(entry, dict) for entry in listed):
         problems.append("no [[stage]]; a recipe lists its stages in order, the first is align")
         listed = []
@@ -137,7 +146,9 @@ def build_recipe(name: str, data: Mapping[str, Any]) -> Recipe:
         lines = "\n".join(f"  - {p}" for p in problems)
         raise RecipeError(f"recipe {name!r} has {len(problems)} mistake(s):\n{lines}")
     uses = tuple(str(entry["use"]) for entry in listed)
-    return Recipe(name=name, **values, stages=tuple(s for s in stages if s is not None), uses=uses)
+    template = tuple(written) if listed != written and isinstance(written, list) else ()
+    built_all = tuple(s for s in stages if s is not None)
+    return Recipe(name=name, **values, stages=built_all, uses=uses, template=template)
 
 
 def stage_of(use: str, values: Mapping[str, Any]) -> Stage:

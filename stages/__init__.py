@@ -9,6 +9,7 @@ STAGES = {
     "regressors": "stages.regressors:Regressors",
     "gate": "stages.gate:Gate",
     "normalise": "stages.normalise:Normalise",
+    "select_inputs": "stages.select_inputs:SelectInputs",
     "relations": "stages.relations:Relations",
     "residuals": "stages.residuals:Residuals",
     "isolate": "stages.isolate:Isolate",

@@ -1,12 +1,14 @@
 """Formulas of a recipe: arithmetic on columns, written as in a textbook.
 
-A recipe says ``r_cyl = "1 - f_Cyl * 300 / (T_Int * W_HFM)"``. Names are columns of the block, functions are
-those of :data:`FUNCTIONS`; nothing else of Python is reachable.
+A recipe says ``r_cyl = "1 - f_Cyl * 300 / (T_Int * W_HFM)"``. Names are columns of the block (any other name
+between backquotes: ``"2 * `Engine speed`"``), functions are those of :data:`FUNCTIONS`; nothing else of
+Python is reachable.
 """
 
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from types import CodeType
@@ -53,6 +55,8 @@ class Formula:
     array([5., 7.])
     >>> sorted(Formula("ln(p_Int / p_Amb)").names)
     ['p_Amb', 'p_Int']
+    >>> Formula("2 * `n [rpm]`")({"n [rpm]": np.array([4.0])})
+    array([8.])
 
     Raises:
         RecipeError: not a formula, or a function that is not known.
@@ -60,11 +64,17 @@ class Formula:
 
     text: str
     names: frozenset[str] = field(init=False, compare=False)
+    _quoted: Mapping[str, str] = field(init=False, compare=False, repr=False)  # by the name in their place
     _code: CodeType = field(init=False, compare=False, repr=False)
 
     def __post_init__(self) -> None:
+        quoted = list(dict.fromkeys(re.findall(r"`([^`]+)`", self.text)))
+        text = self.text
+        for i, name in enumerate(quoted):
+            text = text.replace(f"`{name}`", f"_quoted_{i}_")
+        object.__setattr__(self, "_quoted", {f"_quoted_{i}_": n for i, n in enumerate(quoted)})
         try:
-            tree = ast.parse(self.text, mode="eval")
+            tree = ast.parse(text, mode="eval")
         except SyntaxError as error:
             raise RecipeError(f"formula {self.text!r} cannot be read: {error.msg}") from None
         called = {node.func for node in ast.walk(tree) if isinstance(node, ast.Call)}
@@ -78,7 +88,8 @@ class Formula:
                 name = ast.unparse(function)
                 hint = did_you_mean(name, FUNCTIONS)
                 raise RecipeError(f"formula {self.text!r}: unknown function {name!r}; {hint}")
-        names = {n.id for n in ast.walk(tree) if isinstance(n, ast.Name) and n not in called}
+        found = {n.id for n in ast.walk(tree) if isinstance(n, ast.Name) and n not in called}
+        names = {self._quoted.get(n, n) for n in found}
         object.__setattr__(self, "names", frozenset(names))
         object.__setattr__(self, "_code", compile(tree, "<formula>", "eval"))
 
@@ -92,6 +103,7 @@ class Formula:
             hint = did_you_mean(missing[0], columns)
             raise RecipeError(f"formula {self.text!r}: there is no {missing[0]!r} here; {hint}")
         scope = {**FUNCTIONS, **{n: columns[n] for n in self.names}}
+        scope |= {place: columns[n] for place, n in self._quoted.items()}
         with np.errstate(all="ignore"):
             value = np.asarray(eval(self._code, {"__builtins__": {}}, scope), dtype=np.float64)
         return np.where(np.isfinite(value), value, np.nan)

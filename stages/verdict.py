@@ -19,7 +19,17 @@ from ingest.log import TIME, Event, Log
 from stages.gate import GATE
 from stages.relations import IN_DOMAIN
 from stages.residuals import SIGMA, Z
-from stages.results import DETECTION, EVIDENCE, PROBABILITY, SIZE, SIZE_SD, UNKNOWN, Magnitude, Verdict
+from stages.results import (
+    DETECTION,
+    EVIDENCE,
+    PROBABILITY,
+    SIZE,
+    SIZE_SD,
+    STATISTIC,
+    UNKNOWN,
+    Magnitude,
+    Verdict,
+)
 
 ONSET_BACK_S, ONSET_AFTER_S = 600.0, 30.0
 
@@ -123,6 +133,7 @@ class Judge:
 
     def _strength(self, samples: Table, first: int, last: int) -> float:
         names = [c for c in samples.columns if c.startswith(EVIDENCE) and c != EVIDENCE + UNKNOWN]
+        names = names or [STATISTIC]  # no fault is supposed
         count = last - first + 1
         return max(float(samples[c].slice(first, count).max() or 0.0) for c in names)  # type: ignore[arg-type]
 

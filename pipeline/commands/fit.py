@@ -22,6 +22,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--calibrate", nargs="+", action="extend", default=[], metavar="LOG",
         help="further fault-free logs that set spreads and thresholds",
     )  # fmt: skip
+    for name in ("output", "input"):
+        parser.add_argument(
+            f"--{name}", nargs="+", action="extend", default=[], metavar="NAME",
+            help=f"{name}s of a recipe for any signals, such as narx; names or patterns",
+        )  # fmt: skip
     parser.add_argument("--map", type=Path, help="TOML file that names and converts the logs' channels")
     parser.add_argument("--json", action="store_true", help="print the detector's record")
 
@@ -34,10 +39,13 @@ def run(args: argparse.Namespace) -> int:
     from pipeline.fitting import fit
     from pipeline.recipe import load_recipe
     from pipeline.store import Store
+    from pipeline.template import with_signals
 
     problems = Problems()
     with problems:
         recipe = load_recipe(args.recipe)
+        if args.output or args.input:
+            recipe = with_signals(recipe, args.output, args.input)
     with problems:
         names = load_map(args.map) if args.map else None
     with problems:

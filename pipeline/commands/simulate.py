@@ -13,8 +13,9 @@ if TYPE_CHECKING:
     from ingest.simulators.faults import Fault
 
 HELP = "simulate a log with ground truth; the suffix (.mcap .parquet .csv) picks the format"
-SYSTEMS = ("airpath", "throttle")
+SYSTEMS = ("airpath", "throttle", "example1", "example2")
 AIRPATH_ONLY = ("cycle", "tolerance", "egr")
+NOT_OF_EXAMPLES = (*AIRPATH_ONLY, "fault", "duration", "set")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -36,6 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--tolerance", type=int, choices=(0, 1, 2), help="airpath: spread between vehicles")
     parser.add_argument("--egr", action="store_true", help="airpath: with exhaust gas recirculation")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--n", type=int, metavar="N", help="example1, example2: samples; default 4000")
     parser.add_argument(
         "--duration", type=float, metavar="S", help="s; default: the cycle's own; throttle: 50"
     )
@@ -51,7 +53,10 @@ def run(args: argparse.Namespace) -> int:
     from ingest import write_log
     from pipeline.console import talk
 
-    log = _throttle(args) if args.system == "throttle" else _airpath(args)
+    make = {"airpath": _airpath, "throttle": _throttle}.get(args.system, _example)
+    if args.n is not None and make is not _example:
+        raise DynoscopeError(f"simulate {args.system}: --n belongs to example1 and example2; use --duration")
+    log = make(args)
     write_log(log, args.out)
     start, end = log.span
     talk(f"wrote {args.out}: {end - start:.0f} s, {len(log.signals)} signals")
@@ -71,12 +76,26 @@ def _airpath(args: argparse.Namespace) -> Log:
 def _throttle(args: argparse.Namespace) -> Log:
     from ingest.simulators.throttle import simulate_throttle
 
-    if foreign := [f"--{name}" for name in AIRPATH_ONLY if getattr(args, name) not in (None, False)]:
-        raise DynoscopeError(f"simulate throttle: {', '.join(foreign)} belongs to airpath; leave it out")
+    _refuse(args, AIRPATH_ONLY)
     return simulate_throttle(
         faults=faults(args), seed=args.seed, duration_s=50.0 if args.duration is None else args.duration,
         noise=args.noise, overrides=overrides(args.set), name=args.out.stem,
     )  # fmt: skip
+
+
+def _example(args: argparse.Namespace) -> Log:
+    from ingest.simulators.examples import simulate_example
+
+    _refuse(args, NOT_OF_EXAMPLES)
+    n = 4000 if args.n is None else args.n
+    return simulate_example(args.system, n=n, noise=args.noise, seed=args.seed, name=args.out.stem)
+
+
+def _refuse(args: argparse.Namespace, names: tuple[str, ...]) -> None:
+    if foreign := [f"--{name}" for name in names if getattr(args, name) not in (None, False, [])]:
+        raise DynoscopeError(
+            f"simulate {args.system}: {', '.join(foreign)} belongs to another system; leave it out"
+        )
 
 
 def faults(args: argparse.Namespace) -> list[Fault]:

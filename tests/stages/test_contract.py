@@ -25,6 +25,7 @@ from stages.normalise import Normalise
 from stages.regressors import Regressors
 from stages.relations import Relation, Relations
 from stages.residuals import Residuals
+from stages.select_inputs import SelectInputs, Target
 from stages.signatures import Signatures
 from stages.smooth import Smooth
 from stages.stage import ANALYSIS, Learner, Stage, connected, cut, transform
@@ -35,6 +36,7 @@ CHAIN: dict[str, Stage] = {
     "regressors": Regressors(columns={"ab": "a * b", "two": "2"}),
     "gate": Gate(rate_per_s={"b": 0.5}),
     "normalise": Normalise(columns=("a", "b")),
+    "select_inputs": SelectInputs(targets={"f": Target(output="y", inputs=("a", "b"), fixed=("a",))}),
     "relations": Relations(
         relations={"f": Relation(output="y", inputs=("a", "b"), nodes=6)}, regime="f", map=("a", "b")
     ),
