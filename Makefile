@@ -3,13 +3,19 @@ VENV ?= .venv
 PYTHON ?= python3
 BIN := $(VENV)/bin
 
-.PHONY: demo test lint clean
+.PHONY: bench demo test lint clean
 
 demo: $(VENV)/.installed
 	$(BIN)/dynoscope demo --out demo
 
 test: $(VENV)/.installed-test
 	$(BIN)/python -m pytest
+
+# In short, some minutes; each takes arguments for more, see the tops of the files.
+bench: $(VENV)/.installed-test
+	$(BIN)/python -m benchmarks.ingest --rows 100000
+	$(BIN)/python -m benchmarks.throttle --part 1 5 --seeds 3
+	$(BIN)/python -m benchmarks.thermocouple --seeds 1
 
 lint: $(VENV)/.installed-test
 	$(BIN)/ruff check .

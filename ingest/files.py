@@ -27,11 +27,11 @@ from ingest.remote import fetch
 _SUFFIXES = tuple(s for known in FORMATS.values() for s in known)
 
 
-def read_log(path: str | Path, map: NameMap | str | Path | None = None) -> Log:
+def read_log(path: str | Path, map: NameMap | str | Path | None = None, *, content: str | None = None) -> Log:
     """Reads a log of any supported format, found by its content, in canonical names and units.
 
     A file that :func:`write_log` wrote comes back as it was; of any other the facts ``file``, ``format`` and
-    ``sha256`` are noted.
+    ``sha256`` are noted. ``content``: the file's sha256, where it is known already.
 
     Raises:
         LogError: no such file, no known format, damaged, or without samples.
@@ -41,7 +41,7 @@ def read_log(path: str | Path, map: NameMap | str | Path | None = None) -> Log:
     path, names = _local(path), _names(map)
     with _readable(path), ThreadPoolExecutor(1) as pool:
         name, module = _format(path)
-        digest = _digest(pool, path, module)
+        digest = _digest(pool, path, module, content)
         found = _with_source(module.read(path, names), path, name, digest)
     return _canonical(found, names, map is not None)
 
@@ -50,6 +50,8 @@ def read_blocks(
     path: str | Path,
     map: NameMap | str | Path | None = None,
     progress: Callable[[float], None] | None = None,
+    *,
+    content: str | None = None,
 ) -> Iterator[Log]:
     """Reads a log in parts of consecutive rows (see :mod:`ingest.blocks`), each as :func:`read_log` would.
 
@@ -61,7 +63,7 @@ def read_blocks(
     path, names = _local(path), _names(map)
     with _readable(path), ThreadPoolExecutor(1) as pool:
         name, module = _format(path)
-        digest = _digest(pool, path, module)
+        digest = _digest(pool, path, module, content)
         parts = (
             cast(Streamer, module).blocks(path, names)
             if hasattr(module, "blocks")
@@ -153,8 +155,11 @@ def _names(map: NameMap | str | Path | None) -> NameMap:
     return map if isinstance(map, NameMap) else NameMap() if map is None else load_map(map)
 
 
-def _digest(pool: ThreadPoolExecutor, path: Path, module: Reader) -> Callable[[], str]:
-    """The file's digest, made while it is read; where it may be one of ours, only when it is asked for."""
+def _digest(pool: ThreadPoolExecutor, path: Path, module: Reader, content: str | None) -> Callable[[], str]:
+    """The file's digest, if it is not known made while it is read; where it may be one of ours, only when it
+    is asked for."""
+    if content is not None:
+        return lambda: content
     return partial(sha256, path) if hasattr(module, "Recorder") else pool.submit(sha256, path).result
 
 

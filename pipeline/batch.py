@@ -13,10 +13,11 @@ from pathlib import Path
 import polars as pl
 
 from ingest.errors import DynoscopeError, LogError
-from ingest.files import sha256, unique_stems
-from ingest.maps import load_map
+from ingest.files import unique_stems
+from ingest.maps import NameMap, load_map
 from pipeline.cache import Cache
 from pipeline.detector import Detector
+from pipeline.digest import map_digest
 from pipeline.engines import Engine, Processes, Serial
 from pipeline.files import sweep
 from pipeline.recipe import Recipe
@@ -37,7 +38,7 @@ class Options:
     timeline: bool = True
     force: bool = False
     only_failed: bool = False
-    name_map: Path | None = None
+    name_map: NameMap | Path | None = None
     workers: int = 1
     scheduler: str | None = None
     cache: Path | None = None
@@ -85,11 +86,12 @@ def run(
 
 def plan(logs: Sequence[Path], detector: Detector, out: Path, options: Options) -> list[Task]:
     """The tasks of a batch, one per log, in order."""
-    packed, names = pack(detector), load_map(options.name_map) if options.name_map else None
+    packed, names = pack(detector), options.name_map
+    names = load_map(names) if isinstance(names, Path) else names
     return [
         Task(
             path=path, name=name, folder=out / name, detector=packed, name_map=names,
-            map_sha256=sha256(options.name_map) if options.name_map else None, vehicle=vehicle,
+            map_digest=map_digest(names), vehicle=vehicle,
             timeline=options.timeline, force=options.force, cache=options.cache, debug=options.debug,
         )
         for path, name, vehicle in zip(logs, unique_stems(logs), vehicles_by_folder(logs), strict=True)

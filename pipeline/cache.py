@@ -55,14 +55,14 @@ class Cache:
         except OSError as error:
             raise self._problem(error) from None
 
-    def log(self, sha256: str, map_sha256: str | None, read: Callable[[], Log]) -> Log:
+    def log(self, sha256: str, map_digest: str | None, read: Callable[[], Log]) -> Log:
         """The log of a file with this digest, read with this map, from here or by ``read``, and then kept.
 
         Raises:
             LogError: what ``read`` raises.
             StoreError: it cannot be kept.
         """
-        path = self.folder / LOGS / f"{digest('log', FORMAT, sha256, map_sha256)}.parquet"
+        path = self.folder / LOGS / f"{digest('log', FORMAT, sha256, map_digest)}.parquet"
         with suppress(LogError):  # not there, or damaged
             log = read_log(path)
             _touch(path)

@@ -5,12 +5,14 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import fields, is_dataclass
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from ingest.maps import NameMap
 
 KEY_LENGTH = 32
 NOT_SETTINGS = ("learned", "before")  # what a stage was given, not told
@@ -45,6 +47,14 @@ def arrays_sha256(arrays: Mapping[str, NDArray[Any]]) -> str:
 def settings(stage: Any) -> dict[str, Any]:
     """A stage's settings as plain JSON values; what it has learned is not among them."""
     return {f.name: _plain(getattr(stage, f.name)) for f in fields(stage) if f.name not in NOT_SETTINGS}
+
+
+def map_digest(names: NameMap | None) -> str | None:
+    """Key of what a map says, and of the DBC files that it names; not of where they lie."""
+    if names is None:
+        return None
+    said = {k: v for k, v in settings(replace(names, dbc=())).items() if k != "origin"}
+    return digest(said, [file_sha256(path) if path.is_file() else None for path in names.dbc])
 
 
 def _plain(value: Any) -> Any:

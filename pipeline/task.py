@@ -63,7 +63,7 @@ class Task:
     folder: Path
     detector: bytes
     name_map: NameMap | None = None
-    map_sha256: str | None = None
+    map_digest: str | None = None
     vehicle: str | None = None
     timeline: bool = True
     force: bool = False
@@ -145,10 +145,10 @@ def _whole(task: Task, detector: Detector, key: str, facts: Facts, began: float)
 
 def _log(task: Task, content: str) -> Log:
     """The log, from the cache if there is one and it is of use: ours in Parquet is as quick to read."""
-    read = partial(read_log, task.path, task.name_map)
+    read = partial(read_log, task.path, task.name_map, content=content)
     if task.cache is None or task.path.suffix == ".parquet":
         return read()
-    return Cache(task.cache).log(content, task.map_sha256, read)
+    return Cache(task.cache).log(content, task.map_digest, read)
 
 
 def _kept(task: Task, key: str) -> Row | None:
@@ -175,7 +175,7 @@ def _in_parts(task: Task, detector: Detector, key: str, facts: Facts, began: flo
     counts = read_header(task.path, task.name_map).facts.get("rows")
 
     def parts() -> Iterator[Log]:
-        return in_step(read_blocks(task.path, task.name_map), counts)
+        return in_step(read_blocks(task.path, task.name_map, content=facts["sha256"]), counts)
 
     with run_folder(task.folder) as draft:
         log, duration = diagnose_parts(parts, detector, task.name, facts, draft)
@@ -191,7 +191,7 @@ def _times(began: float) -> dict[str, float | str]:
 
 
 def _key(task: Task, content: str, detector: Detector) -> str:
-    return run_key(content, detector, {"map": task.map_sha256})
+    return run_key(content, detector, {"map": task.map_digest})
 
 
 def _row(task: Task, key: str) -> Row | None:

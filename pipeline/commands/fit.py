@@ -6,6 +6,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from pipeline.commands.ingest import add_map_arguments, names_of
+
 if TYPE_CHECKING:
     from ingest.log import Log
 
@@ -27,14 +29,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             f"--{name}", nargs="+", action="extend", default=[], metavar="NAME",
             help=f"{name}s of a recipe for any signals, such as narx; names or patterns",
         )  # fmt: skip
-    parser.add_argument("--map", type=Path, help="TOML file that names and converts the logs' channels")
+    add_map_arguments(parser)
     parser.add_argument("--json", action="store_true", help="print the detector's record")
 
 
 def run(args: argparse.Namespace) -> int:
     from ingest import read_log
     from ingest.files import find_logs
-    from ingest.maps import load_map
     from pipeline.console import Problems, print_json, talk
     from pipeline.fitting import fit
     from pipeline.recipe import load_recipe
@@ -47,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
         if args.output or args.input:
             recipe = with_signals(recipe, args.output, args.input)
     with problems:
-        names = load_map(args.map) if args.map else None
+        names = names_of(args)
     with problems:
         store = Store(args.store)
     paths: dict[str, list[Path]] = {}

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 from typing import Any
+
+from pipeline.commands.ingest import add_map_arguments, names_of
 
 HELP = "subspace identification of a linear model: poles, time constants, gains, order, fit on held-out data"
 
@@ -25,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="S",
         help="s between samples; default: the first output's own",
     )
-    parser.add_argument("--map", type=Path, help="TOML file that names and converts the log's channels")
+    add_map_arguments(parser)
     parser.add_argument("--json", action="store_true", help="print everything as JSON")
 
 
@@ -35,6 +36,7 @@ def run(args: argparse.Namespace) -> int:
     from pipeline.console import print_json, talk
     from pipeline.identifying import Settings, identify_log
 
+    names = names_of(args)
     (path, *more) = find_logs([args.log])
     if more:
         talk(f"{args.log} means {len(more) + 1} logs; this is the first, {path}")
@@ -42,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
         inputs=tuple(args.input), outputs=tuple(args.output), order=args.order, method=args.method,
         horizon=args.horizon, raster_s=args.raster,
     )  # fmt: skip
-    result = identify_log(read_log(path, args.map), settings)
+    result = identify_log(read_log(path, names), settings)
     if args.json:
         print_json(result)
     else:

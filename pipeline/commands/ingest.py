@@ -51,6 +51,8 @@ def names_of(args: argparse.Namespace) -> NameMap | None:
 
     if args.rate is not None and not args.rate > 0:
         raise MapError(f"--rate is {args.rate}; expected rows per second, above 0")
+    if missing := [str(path) for path in args.dbc if not path.is_file()]:
+        raise MapError(f"--dbc {' '.join(missing)}: there is no such file")
     if not (args.map or args.rate or args.dbc):
         return None
     names = load_map(args.map) if args.map else NameMap()

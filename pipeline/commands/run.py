@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from pipeline.commands.ingest import add_map_arguments, names_of
+
 HELP = "diagnose logs: samples, verdict, annotated log and timeline for each, and a summary"
 
 
@@ -17,7 +19,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument("--out", required=True, type=Path, metavar="DIR", help="where the results go")
     parser.add_argument("--detector", default="champion", metavar="KEY", help="default: the champion")
-    parser.add_argument("--map", type=Path, help="TOML file that names and converts the logs' channels")
+    add_map_arguments(parser)
     parser.add_argument("--no-timeline", action="store_true", help="write no Rerun recordings")
     parser.add_argument("--force", action="store_true", help="diagnose again what is done")
     parser.add_argument("--only-failed", action="store_true", help="only logs that failed before")
@@ -37,7 +39,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     from ingest.errors import DynoscopeError
     from ingest.files import find_logs
-    from ingest.maps import load_map
     from pipeline import batch
     from pipeline.cache import default_folder
     from pipeline.console import Problems, print_json, print_table, progress, talk
@@ -53,8 +54,7 @@ def run(args: argparse.Namespace) -> int:
         recipe = load_recipe(args.recipe)
     recipe_is_right = not problems.errors
     with problems:
-        if args.map:
-            load_map(args.map)
+        names = names_of(args)
     with problems:
         store = Store(args.store) if args.store else None
         if recipe_is_right:
@@ -64,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
         paths = find_logs(args.logs)
     problems.raise_any()
     options = batch.Options(
-        timeline=not args.no_timeline, force=args.force, only_failed=args.only_failed, name_map=args.map,
+        timeline=not args.no_timeline, force=args.force, only_failed=args.only_failed, name_map=names,
         workers=args.workers, scheduler=args.scheduler,
         cache=default_folder() if args.cache is True else args.cache, debug=args.debug,
     )  # fmt: skip

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from pipeline.digest import KEY_LENGTH, arrays_sha256, digest, file_sha256, settings
+from ingest.maps import NameMap, SignalMap, TimeMap
+from pipeline.digest import KEY_LENGTH, arrays_sha256, digest, file_sha256, map_digest, settings
 
 SCALAR = (
     st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text()
@@ -45,6 +46,20 @@ def test_what_json_cannot_say_is_refused() -> None:
 def test_file_digest(tmp_path: Path) -> None:
     (tmp_path / "x").write_bytes(b"abc" * 100_000)
     assert file_sha256(tmp_path / "x") == hashlib.sha256(b"abc" * 100_000).hexdigest()
+
+
+def test_map_digest_is_that_of_what_it_says(tmp_path: Path) -> None:
+    one, other = tmp_path / "a.dbc", tmp_path / "b.dbc"
+    one.write_text("x")
+    other.write_text("x")
+    names = NameMap(signals={"n_Eng": SignalMap(source=("rpm",))}, dbc=(one,))
+    assert map_digest(None) is None
+    assert map_digest(names) == map_digest(replace(names, dbc=(other,), origin="elsewhere"))
+    other.write_text("y")
+    changed = [
+        replace(names, dbc=(other,)), replace(names, time=TimeMap(rate=10.0)), replace(names, signals={}),
+    ]  # fmt: skip
+    assert len({map_digest(m) for m in [names, *changed]}) == 4
 
 
 @pytest.mark.parametrize(

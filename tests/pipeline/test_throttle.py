@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from pathlib import Path
+from typing import IO, Any
 
 import numpy as np
 import polars as pl
@@ -99,3 +101,24 @@ def test_the_recipe_of_the_second_plant_is_right() -> None:
     recipe = load_recipe(Path(__file__).parents[2] / "data" / "recipes" / "thermocouple.toml")
     assert recipe.signals == ("T_gas", "P_heater")
     assert unfitted_detector(recipe).key == unfitted_detector(recipe).key
+
+
+def test_a_table_without_time_is_run_at_a_rate_and_hashed_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = simulate_throttle(seed=22, duration_s=2.0)
+    path, hashed = tmp_path / "bare.csv", []
+    log.groups["throttle"].frame.drop("time").write_csv(path)
+    digest = hashlib.file_digest
+
+    def noted(file: IO[bytes], name: str) -> Any:
+        hashed.append(Path(file.name).name)
+        return digest(file, name)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(hashlib, "file_digest", noted)
+    words = ["run", str(path), "--recipe", "throttle", "--out", str(tmp_path / "out"), "--no-timeline"]
+    assert main([*words, "--rate", "10000"]) == 0
+    assert hashed == ["bare.csv"]
+    assert pl.read_parquet(tmp_path / "out" / "bare" / "samples.parquet").height == 2
+    assert main([*words, "--dbc", str(tmp_path / "lost.dbc")]) == 2
+    assert "lost.dbc: there is no such file" in capsys.readouterr().err

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from ingest import read_log, write_log
+from ingest import mdf_samples, read_log, write_log
 from ingest.blocks import join
 from ingest.errors import LogError
 from ingest.files import read_blocks, read_header
@@ -78,6 +78,31 @@ def test_header_and_parts(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert all(joined.groups[k].frame.height == g.frame.height for k, g in whole.groups.items())
     assert joined.groups["ecu"].frame.drop("p_Bst").equals(whole.groups["ecu"].frame.drop("p_Bst"))
     assert join(read_blocks(path)).equals(whole)
+
+
+def test_a_huge_block_is_read_in_pieces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As of writers that make one block of everything: no part needs all of it."""
+    path = tmp_path / "x.mf4"
+    with asammdf.MDF(version="4.10") as file:
+        signals = [asammdf.Signal(VALUES + i, TIME, name=f"s{i}", unit="V") for i in range(3)]
+        file.append(signals, acq_name="ecu", comment="")
+        file.save(path, overwrite=True, compression=0)
+    whole = read_log(path)
+    monkeypatch.setattr(mdf_samples, "_PIECE", 1000)
+    with path.open("rb") as stream, asammdf.MDF(stream) as file:
+        group = file.groups[0]
+        (block,) = group.data_blocks
+        record = group.channel_group.samples_byte_nr
+        mdf_samples.cut_blocks(group)
+        sizes = [b.original_size for b in group.data_blocks]
+        ends = [b.address + b.original_size for b in group.data_blocks]
+        assert [b.address for b in group.data_blocks] == [block.address, *ends[:-1]]
+        assert (sum(sizes), ends[-1]) == (3000 * record, block.address + block.original_size)
+        assert max(sizes) <= 1000
+        assert all(n % record == 0 for n in sizes)
+    parts = [p.log for p in mdf.blocks(path, NameMap(), 7000)]
+    assert len(parts) > 5
+    assert join(parts).groups["ecu"].frame.equals(whole.groups["ecu"].frame)
 
 
 @pytest.fixture(scope="module")
