@@ -1,221 +1,288 @@
-"""Evidence: the likelihood of residuals under a hypothesis, with forgetting and with unknown run offsets.
+"""Evidence for faults over time: sums over several memories, steps at rest, the alarm and its episode.
 
-For a residual e with spread sigma, weights ``w = min(dt, tau_c) / tau_c`` and forgetting ``exp(-age / T)``,
-the stage keeps
+The log-likelihood (:mod:`stages.likelihood`) of every point, a hypothesis at a size, is kept over several
+memories. Besides, while the operating point stays, a change within the log can be seen that is smaller than
+what differs from run to run: for a step ``age`` s ago the sums are those of the log as it is before it, and
+of the point after it, with any offset, the same before and after.
 
-    A = sum w h h' / sigma^2,   b = sum w h e / sigma^2,   q = sum w [(e / sigma)^2 + 2 ln sigma],
-
-where h are the shapes of what differs from run to run, e.g. h = 1 for a plain offset, each with a coefficient
-``c ~ N(0, s^2)``. Integrating c out gives the log-likelihood
-
-    L = -1/2 [q - b' (A + diag(1 / s^2))^-1 b + ln |I + diag(s^2) A|].
-
-Residuals add up. There are at most two shapes for a residual. What a relation is in doubt of (``model_sd``)
-is shared by neighbouring samples too, so its remembered mean square ``D / A11`` is added to the first
-``s^2``.
-
-A spike must not decide. Before it is added, an e beyond ``clip`` spreads is held within as many of its own
-mean over a short memory: clipping e itself would hide the scatter of a large offset, and make wrong
-hypotheses look better than right ones.
-
-All compiled code is in this one file: the compiler's cache does not see changes in another.
+An alarm begins where some evidence has been above its threshold for ``confirm`` s, and the episode's sums
+begin anew. It ends where over some memory, the shortest aside, that lies within the episode the log as it is
+has been better than the named fault by that fault's threshold, or no fault has evidence any more.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from stages.likelihood import add_sample, between, log_likelihood, peak, tame
+
 Array = NDArray[np.float64]
-SUMS = 7  # A11, A12, A22, b1, b2, q, D
+ALARM, HELD, NAMED, SIZE, EVIDENCE, SINCE, DECIDED, RESTED = range(8)  # clocks
+
+
+class Rows(NamedTuple):
+    """What is known of a block's rows; ``e sigma doubt`` (active rows, points, residuals), ``shapes`` (active
+    rows, residuals, 2) and ``known`` (active rows, residuals) only of those ``active``; ``place`` (rows,
+    any): the operating point, a rest ends 1 away from where it began."""
+
+    dt: Array
+    active: NDArray[np.bool_]
+    place: Array
+    known: Array
+    e: Array
+    sigma: Array
+    doubt: Array
+    shapes: Array
+
+
+class Grid(NamedTuple):
+    """The refined grid: for each of its points the points computed on either side and the share of the right
+    one; points and sizes of each fault in order, 0 (the log as it is) among them, and their number; the log
+    prior of each point as a healthy one, -inf for the faults'."""
+
+    left: NDArray[np.int64]
+    right: NDArray[np.int64]
+    share: Array
+    points: NDArray[np.int64]
+    sizes: Array
+    counts: NDArray[np.int64]
+    prior: Array
+
+
+class Settings(NamedTuple):
+    """``memories``: those of the alarm, the episode's, and that of a rest; ``ages`` of a step in s;
+    ``sd unknown_sd`` of the offsets (residuals, 2)."""
+
+    memories: Array
+    ages: Array
+    threshold: Array
+    sd: Array
+    unknown_sd: Array
+    correlation: float
+    clip: float
+    confirm: float
+    decide: float
+    temper: float
+    penalty: float
+
+
+class Memory(NamedTuple):
+    """What the recursion remembers, changed in place: sums by memory (the episode's and the rest's last),
+    point and residual; those of the rest at earlier seconds and their times; where it began; log-likelihood
+    ratios that an episode began with; clocks; the largest evidence so far; the last decision."""
+
+    S: Array
+    earlier: Array
+    times: Array
+    place: Array
+    kept: Array
+    clocks: Array
+    largest: Array
+    statistic: Array
+    evidence: Array
+    p: Array
+    size: Array
+    size_sd: Array
 
 
 @njit(cache=True)
-def tame(e: Array, sigma: Array, S: Array, clip: float) -> Array:  # pragma: no cover - compiled
-    """``e`` (points, residuals), where beyond ``clip`` spreads, held within as many of the means that ``S``
-    remembers."""
-    tamed = e.copy()
-    for p in range(e.shape[0]):
-        for r in range(e.shape[1]):
-            reach = clip * sigma[p, r]
-            if S[p, r, 0] > 0 and abs(e[p, r]) > reach:
-                mean = S[p, r, 3] / S[p, r, 0]
-                tamed[p, r] = min(max(e[p, r], mean - reach), mean + reach)
-    return tamed
-
-
-@njit(cache=True)
-def add_sample(
-    S: Array, e: Array, sigma: Array, doubt: Array, shapes: Array, weight: float
-) -> None:  # pragma: no cover - compiled
-    """Add one row to the sums ``S`` (points, residuals, SUMS) of one memory, in place."""
-    for p in range(e.shape[0]):
-        for r in range(e.shape[1]):
-            x, s = e[p, r], sigma[p, r]
-            if np.isnan(x) or np.isnan(s):
-                continue
-            w = weight / (s * s)
-            h1, h2 = shapes[r, 0], shapes[r, 1]
-            S[p, r, 0] += w * h1 * h1
-            S[p, r, 1] += w * h1 * h2
-            S[p, r, 2] += w * h2 * h2
-            S[p, r, 3] += w * h1 * x
-            S[p, r, 4] += w * h2 * x
-            S[p, r, 5] += w * x * x + weight * 2.0 * np.log(s)
-            S[p, r, 6] += w * h1 * h1 * doubt[p, r] ** 2
-
-
-@njit(cache=True)
-def log_likelihood(S: Array, sd: Array) -> float:  # pragma: no cover - compiled
-    """L of one point: ``S`` (residuals, SUMS), ``sd`` (residuals, 2), a standard deviation 0 where there is
-    no shape.
-
-    Written for ``s^2 A``, so that s = 0 needs no inverse.
-    """
-    total = 0.0
-    for r in range(S.shape[0]):
-        v1, v2 = sd[r, 0] ** 2, sd[r, 1] ** 2
-        if S[r, 0] > 0:
-            v1 += S[r, 6] / S[r, 0]
-        a11, a12, a22 = 1.0 + v1 * S[r, 0], S[r, 1], 1.0 + v2 * S[r, 2]
-        det = a11 * a22 - v1 * v2 * a12 * a12
-        b1, b2 = S[r, 3], S[r, 4]
-        # b' (A + V^-1)^-1 b = b' V (I + A V)^-1 b for V = diag(v1, v2)
-        explained = (v1 * a22 * b1 * b1 - 2.0 * v1 * v2 * a12 * b1 * b2 + v2 * a11 * b2 * b2) / det
-        total -= 0.5 * (S[r, 5] - explained + np.log(det))
-    return total
-
-
-@njit(cache=True)
-def between(
-    x: Array, left: NDArray[np.int64], right: NDArray[np.int64], share: Array
-) -> Array:  # pragma: no cover - compiled
-    """Rows of ``x`` (points, residuals) interpolated: ``(1 - share) x[left] + share x[right]``."""
-    out = np.empty((len(left), x.shape[1]))
-    for p in range(len(left)):
-        for r in range(x.shape[1]):
-            out[p, r] = (1.0 - share[p]) * x[left[p], r] + share[p] * x[right[p], r]
-    return out
-
-
-@njit(cache=True)
-def peak(x: Array, L: Array) -> tuple[float, float, float]:  # pragma: no cover - compiled
-    """Place, height and standard deviation of the maximum of a log-likelihood on an even grid around it.
-
-    The vertex of the parabola through the best point and its neighbours; at the grid's ends, or where that is
-    no maximum, the best point with an infinite standard deviation.
-    """
-    j = 0
-    for i in range(len(x)):
-        if L[i] > L[j]:
-            j = i
-    if j == 0 or j == len(x) - 1:
-        return x[j], L[j], np.inf
-    d1 = (L[j] - L[j - 1]) / (x[j] - x[j - 1])
-    d2 = (L[j + 1] - L[j]) / (x[j + 1] - x[j])
-    curve = (d2 - d1) / (x[j + 1] - x[j - 1])
-    if curve >= 0:
-        return x[j], L[j], np.inf
-    place = 0.5 * (x[j - 1] + x[j] - d1 / curve)
-    height = L[j - 1] + d1 * (place - x[j - 1]) + curve * (place - x[j - 1]) * (place - x[j])
-    return place, max(height, L[j]), np.sqrt(-0.5 / curve)
-
-
-@njit(cache=True)
-def evidence_of(
-    S: Array, sd: Array, unknown_sd: Array, points: NDArray[np.int64], sizes: Array, prior: Array,
-    count: NDArray[np.int64],
-) -> tuple[Array, Array, Array]:  # fmt: skip  # pragma: no cover - compiled
-    """Evidence of every fault, and last of ``unknown``; sizes and their standard deviations."""
-    F, H = points.shape[0], S.shape[0] - 1
-    L = np.empty(H)
-    for p in range(H):
+def likelihoods(S: Array, sd: Array, unknown_sd: Array) -> Array:  # pragma: no cover - compiled
+    """L of every point, the last, ``unknown``, with its own offsets."""
+    L = np.empty(S.shape[0])
+    for p in range(S.shape[0] - 1):
         L[p] = log_likelihood(S[p], sd)
-    healthy, top = 0.0, np.max(L + prior)
+    L[-1] = log_likelihood(S[-1], unknown_sd)
+    return L
+
+
+@njit(cache=True)
+def evidence_of(L: Array, grid: Grid) -> tuple[Array, Array, Array]:  # pragma: no cover - compiled
+    """Evidence of every fault, and last of ``unknown``; sizes and their standard deviations."""
+    F, H = grid.points.shape[0], len(L) - 1
+    healthy, top = 0.0, np.max(L[:H] + grid.prior)
     for p in range(H):
-        if prior[p] > -np.inf:
-            healthy += np.exp(L[p] + prior[p] - top)
+        if grid.prior[p] > -np.inf:
+            healthy += np.exp(L[p] + grid.prior[p] - top)
     healthy = top + np.log(healthy)
     evidence, size, size_sd = np.empty(F + 1), np.empty(F), np.empty(F)
     for f in range(F):
-        x = sizes[f, : count[f]]
-        size[f], height, size_sd[f] = peak(x, L[points[f, : count[f]]])
+        x = grid.sizes[f, : grid.counts[f]]
+        size[f], height, size_sd[f] = peak(x, L[grid.points[f, : grid.counts[f]]])
         width = min(1.0, np.sqrt(2.0 * np.pi) * size_sd[f] / (x[-1] - x[0]))
         evidence[f] = height + np.log(width) - healthy
-    evidence[F] = log_likelihood(S[H], unknown_sd) - healthy
+    evidence[F] = L[H] - healthy
     return evidence, size, size_sd
 
 
 @njit(cache=True)
-def excess(
-    S: Array, sd: Array, points: NDArray[np.int64], sizes: Array, size: float
-) -> float:  # pragma: no cover - compiled
-    """Log-likelihood of one fault at the size of the grid next to ``size``, over that of the log as it is."""
+def nearest(points: NDArray[np.int64], sizes: Array, size: float) -> int:  # pragma: no cover - compiled
+    """The point of a fault at the size of the grid next to ``size``."""
     near = 0 if points[0] > 0 else 1
     for i in range(len(points)):
         if points[i] > 0 and abs(sizes[i] - size) < abs(sizes[near] - size):
             near = i
-    return log_likelihood(S[points[near]], sd) - log_likelihood(S[0], sd)
+    return int(points[near])
+
+
+@njit(cache=True)
+def remember(
+    memory: Memory, settings: Settings, grid: Grid, rows: Rows, k: int, row: int
+) -> None:  # pragma: no cover - compiled
+    """Add row ``k``, the ``row``-th active one, to all sums."""
+    S, dt, memories = memory.S, rows.dt[k], settings.memories
+    for i in range(len(S)):
+        S[i] *= np.exp(-dt / memories[i])
+    memory.clocks[RESTED] += dt
+    for j in range(len(memory.place)):
+        if not abs(rows.place[k, j] - memory.place[j]) <= 1.0:
+            memory.place[:] = rows.place[k]
+            S[-1] = 0.0
+            memory.clocks[RESTED] = 0.0
+            memory.times[:] = np.inf
+            break
+    if not rows.active[k]:
+        return
+    weight = min(dt, settings.correlation) / settings.correlation * rows.known[row]
+    e = between(rows.e[row], grid.left, grid.right, grid.share)
+    sigma = between(rows.sigma[row], grid.left, grid.right, grid.share)
+    doubt = between(rows.doubt[row], grid.left, grid.right, grid.share)
+    tamed = tame(e, sigma, S[1, :-1], settings.clip)
+    for i in range(len(S)):
+        add_sample(S[i, :-1], tamed, sigma, doubt, rows.shapes[row], weight)
+        add_sample(S[i, -1:], e[:1], sigma[:1], doubt[:1], rows.shapes[row], weight)
+
+
+@njit(cache=True)
+def step_likelihoods(
+    memory: Memory, settings: Settings, grid: Grid, age: float
+) -> Array:  # pragma: no cover - compiled
+    """L of every point for a log that was healthy until ``age`` s ago and has since been what the point
+    supposes, with any offsets, the same before and after; empty where the rest is not long enough.
+
+    Only what came after differs from the log as it is, so L is that of sums after + before (as it is).
+    """
+    now, place = memory.clocks[RESTED], -1
+    for i in range(len(memory.times)):
+        if memory.times[i] <= now - age and (place < 0 or memory.times[i] > memory.times[place]):
+            place = i
+    if place < 0:
+        return np.empty(0)
+    before = memory.earlier[place] * np.exp(-(now - memory.times[place]) / settings.memories[-1])
+    sums = memory.S[-1] - before + before[0]
+    for p in range(len(grid.prior)):
+        if grid.prior[p] > -np.inf:  # what healthy logs show was there before
+            sums[p] = memory.S[-1, p]
+    return likelihoods(sums, settings.unknown_sd, settings.unknown_sd)
+
+
+@njit(cache=True)
+def note_rest(memory: Memory) -> None:  # pragma: no cover - compiled
+    """Keep the rest's sums about every second, the oldest making place."""
+    now, newest, oldest = memory.clocks[RESTED], -np.inf, 0
+    for i in range(len(memory.times)):
+        if memory.times[i] == np.inf:
+            oldest = i
+            break
+        newest = max(newest, memory.times[i])
+        if memory.times[i] < memory.times[oldest]:
+            oldest = i
+    for i in range(len(memory.times)):
+        if memory.times[i] < np.inf:
+            newest = max(newest, memory.times[i])
+    if now > 0 and now >= newest + 1.0:
+        memory.earlier[oldest] = memory.S[-1]
+        memory.times[oldest] = now
+
+
+@njit(cache=True)
+def decide(
+    memory: Memory, settings: Settings, grid: Grid, elapsed: float
+) -> None:  # pragma: no cover - compiled
+    """Evidence over every memory; the alarm's begin and end; ``elapsed`` s since the last decision."""
+    S, clocks, T, F = memory.S, memory.clocks, len(memory.S) - 2, grid.points.shape[0]
+    memory.statistic[0], memory.evidence[:] = -np.inf, -np.inf
+    over = False
+    for i in range(T + len(settings.ages)):
+        stepped = i >= T
+        if stepped:
+            L = step_likelihoods(memory, settings, grid, settings.ages[i - T])
+            if not len(L):
+                continue
+        else:
+            L = likelihoods(S[i], settings.sd, settings.unknown_sd)
+        evidence, size, size_sd = evidence_of(L, grid)
+        if clocks[ALARM] == 1 and not stepped and i >= 1 and settings.memories[i] < clocks[SINCE]:
+            f = int(clocks[NAMED])
+            named = L[nearest(grid.points[f, : grid.counts[f]], grid.sizes[f], clocks[SIZE])] - L[0]
+            over = over or named < -settings.threshold[i, f]
+        for f in range(F):
+            memory.largest[min(i, T), f] = max(memory.largest[min(i, T), f], evidence[f])
+            excess = evidence[f] - settings.threshold[min(i, T), f]
+            if excess > memory.statistic[0]:
+                memory.statistic[0] = excess
+                if clocks[ALARM] == 0:
+                    memory.kept[:] = (L - L[0]) * stepped
+            if evidence[f] > memory.evidence[f]:
+                memory.evidence[f], memory.size[f], memory.size_sd[f] = evidence[f], size[f], size_sd[f]
+    holds = over or clocks[EVIDENCE] < 0.0 if clocks[ALARM] == 1 else memory.statistic[0] > 0
+    clocks[HELD] = max(0.0, clocks[HELD] + elapsed) if holds else -elapsed
+    clocks[SINCE] += elapsed
+    if clocks[HELD] >= settings.confirm:
+        if clocks[ALARM] == 0:
+            S[T] = 0.0
+            for p in range(len(grid.prior)):
+                if grid.prior[p] > -np.inf:
+                    memory.kept[p] = 0.0
+            memory.kept[-1] = np.max(memory.kept[:-1])
+        else:
+            S[2:T] = S[1]  # what the long memories hold is over
+        begins = 1.0 - clocks[ALARM]
+        clocks[:RESTED] = 0.0
+        clocks[ALARM] = begins
+
+
+@njit(cache=True)
+def judge(memory: Memory, settings: Settings, grid: Grid) -> None:  # pragma: no cover - compiled
+    """Evidence of the episode and the probabilities, in alarm."""
+    clocks, T, F = memory.clocks, len(memory.S) - 2, grid.points.shape[0]
+    L = likelihoods(memory.S[T], settings.sd, settings.unknown_sd) + memory.kept
+    evidence, memory.size[:], memory.size_sd[:] = evidence_of(L, grid)
+    evidence[F] -= settings.penalty
+    memory.evidence[:] = evidence
+    odds = np.exp(settings.temper * (evidence - np.max(evidence)))
+    memory.p[:] = odds / odds.sum()
+    clocks[NAMED] = np.argmax(evidence[:F])
+    clocks[SIZE], clocks[EVIDENCE] = memory.size[int(clocks[NAMED])], np.max(evidence[:F])
 
 
 @njit(cache=True)
 def follow(
-    dt: Array, active: NDArray[np.bool_], known: Array, e: Array, sigma: Array, doubt: Array, shapes: Array,
-    sd: Array, unknown_sd: Array,
-    points: NDArray[np.int64], sizes: Array, prior: Array, count: NDArray[np.int64],
-    left: NDArray[np.int64], right: NDArray[np.int64], share: Array, memories: Array,
-    threshold: Array, numbers: Array, S: Array, clocks: Array, largest: Array,
-) -> tuple[Array, NDArray[np.int8], Array, Array, Array, Array]:  # fmt: skip  # pragma: no cover - compiled
-    """The recursion over the rows; changes ``S``, ``clocks`` and ``largest`` in place."""
-    N, F, T = len(dt), points.shape[0], len(memories) - 1
-    correlation, clip, confirm, clear, temper, penalty = numbers
-    statistic, detection = np.full(N, -np.inf), np.zeros(N, dtype=np.int8)
-    out_evidence, out_p = np.zeros((N, F)), np.zeros((N, F + 1))
-    out_size, out_sd = np.zeros((N, F)), np.zeros((N, F))
-    row = 0
+    rows: Rows, grid: Grid, settings: Settings, memory: Memory
+) -> tuple[Array, NDArray[np.int8], Array, Array, Array, Array]:  # pragma: no cover - compiled
+    """The recursion over the rows; changes ``memory`` in place."""
+    N, F = len(rows.dt), grid.points.shape[0]
+    statistic, detection = np.empty(N), np.zeros(N, dtype=np.int8)
+    out_evidence, out_p = np.empty((N, F)), np.empty((N, F + 1))
+    out_size, out_sd = np.empty((N, F)), np.empty((N, F))
+    clocks, row = memory.clocks, 0
     for k in range(N):
-        weight = min(dt[k], correlation) / correlation
-        if active[k]:
-            weight *= known[row]
-            spread, own = between(sigma[row], left, right, share), between(doubt[row], left, right, share)
-            tamed = tame(between(e[row], left, right, share), spread, S[1, :-1], clip)
-        for i in range(T + 1):
-            S[i] *= np.exp(-dt[k] / memories[i])
-            if active[k]:
-                add_sample(S[i, :-1], tamed, spread, own, shapes[row], weight)
-                add_sample(S[i, -1:], e[row, :1], sigma[row, :1], doubt[row, :1], shapes[row], weight)
-        row += active[k]
-        best, named, tamed = np.full(F + 1, -np.inf), 0.0, np.empty((0, 0))
-        for i in range(T):
-            evidence, size, size_sd = evidence_of(S[i], sd, unknown_sd, points, sizes, prior, count)
-            if i == 1 and clocks[0] == 1:
-                named = excess(S[1], sd, points[int(clocks[2])], sizes[int(clocks[2])], clocks[3])
-            for f in range(F):
-                largest[i, f] = max(largest[i, f], evidence[f])
-                statistic[k] = max(statistic[k], evidence[f] - threshold[i, f])
-                if evidence[f] > best[f]:
-                    best[f], out_size[k, f], out_sd[k, f] = evidence[f], size[f], size_sd[f]
-        if clocks[0] == 0:
-            clocks[1] = clocks[1] + dt[k] if statistic[k] > 0 else 0.0
-            if clocks[1] >= confirm:
-                clocks[:] = 0.0
-                clocks[0] = 1.0
-                S[T] = 0.0
-        else:
-            clocks[5] += dt[k]
-            over = clocks[5] > memories[1] and (named < -clear or clocks[4] < 0.0)
-            clocks[1] = clocks[1] + dt[k] if over else 0.0
-            if clocks[1] >= confirm:
-                clocks[:] = 0.0
-                S[2:] = S[1]  # what the long memories hold is over
-        if clocks[0] == 1:
-            best, out_size[k], out_sd[k] = evidence_of(S[T], sd, unknown_sd, points, sizes, prior, count)
-            best[F] -= penalty
-            odds = np.exp(temper * (best - np.max(best)))
-            out_p[k] = odds / odds.sum()
-            clocks[2] = np.argmax(best[:F])
-            clocks[3], clocks[4] = out_size[k, int(clocks[2])], np.max(best[:F])
-        out_evidence[k] = best[:F]
-        detection[k] = np.int8(clocks[0])
+        remember(memory, settings, grid, rows, k, row)
+        row += rows.active[k]
+        clocks[DECIDED] += rows.dt[k]
+        if clocks[DECIDED] >= settings.decide:
+            elapsed = clocks[DECIDED]
+            clocks[DECIDED] = 0.0
+            decide(memory, settings, grid, elapsed)
+            note_rest(memory)
+            if clocks[ALARM] == 1:
+                judge(memory, settings, grid)
+            else:
+                memory.p[:] = 0.0
+        statistic[k], detection[k] = memory.statistic[0], np.int8(clocks[ALARM])
+        out_evidence[k], out_p[k] = memory.evidence[:F], memory.p
+        out_size[k], out_sd[k] = memory.size, memory.size_sd
     return statistic, detection, out_evidence, out_p, out_size, out_sd

@@ -1,9 +1,10 @@
 """Gate: how far a sample is from steady state, since the detectors' relations are static ones.
 
 ``gate = prod_i 1 / (1 + (d ln x_i / dt / rate_i)^2)``, in (0, 1]: 1 at rest, 1/2 where one signal changes at
-its ``rate``. The derivative is the causal difference to the previous sample, whatever the raster. Detectors
-weigh their training samples by it, and a residual's spread grows as ``1 / sqrt(gate)``
-(:mod:`stages.residuals`).
+its ``rate``. The derivative is the causal difference to the previous sample, whatever the raster; over a
+step longer than ``within_s`` the change may have come at its end, so it is taken as if it had come within
+that time. The first sample says nothing: 0. Detectors weigh their training samples by the gate, and a
+residual's spread grows as ``1 / sqrt(gate)`` (:mod:`stages.residuals`).
 """
 
 from __future__ import annotations
@@ -33,15 +34,13 @@ class GateState:
 class Gate:
     """``rate_per_s`` maps a signal to the relative rate of change (1/s) that halves the weight.
 
-    A sample after a gap of more than ``max_gap_s`` has no derivative; it is taken as if at the rate itself.
-
     Raises:
         RecipeError: a rate is not positive.
     """
 
     version: ClassVar[str] = "1"
     rate_per_s: Mapping[str, float]
-    max_gap_s: float = 5.0
+    within_s: float = 1.0
 
     def __post_init__(self) -> None:
         if bad := {n: r for n, r in self.rate_per_s.items() if not r > 0}:
@@ -67,8 +66,8 @@ class Gate:
         gate, last = np.ones(time.size), {}
         for name, rate in self.rate_per_s.items():
             log = np.log(np.maximum(values[name], 1e-12))
-            slope = np.diff(log, prepend=state.log.get(name, np.nan)) / dt
-            slope = np.where((dt <= self.max_gap_s) & np.isfinite(slope), slope, rate)
+            slope = np.diff(log, prepend=state.log.get(name, np.nan)) / np.minimum(dt, self.within_s)
             gate /= 1.0 + (slope / rate) ** 2
             last[name] = float(log[-1])
+        gate = np.nan_to_num(gate, nan=0.0)
         return GateState(float(time[-1]), last), add_columns(block, {GATE: gate}, {GATE: "1"})

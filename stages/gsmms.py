@@ -12,24 +12,28 @@ each has an affine model, and the prediction (5.44) is ``y = sum_m nu_m(s) (a_m 
   ``lambda`` and the width ``w`` maximise the evidence ``-1/2 [N ln RSS + ln |A| - ln |Lambda|]`` (MacKay
   1992).
 
-Where training data is thin the parameters are uncertain. With ``R R'`` the covariance of all ``theta`` in
-units of the noise variance and ``phi(s) = nu(s) x (1, s)``, the variance of a prediction is ``leverage(s) =
-|phi' R|^2`` times that of the noise.
+Where training data is thin the parameters are uncertain, and samples of one drive are not independent. So the
+doubt about a prediction is the jackknife's over B blocks of consecutive samples (Kunsch 1989):
+``doubt(s)^2 = (B - 1) / B sum_b (y_b(s) - mean y_b(s))^2 = |phi' R|^2``, where ``y_b`` was fitted without
+block b, ``phi(s) = nu(s) x (1, s)``, and the columns of R are the parameters' deviations.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag
 from scipy.spatial.distance import cdist
 
 from ingest.errors import LogError
 from stages.partition import CHUNK, Growth, Partition, grow
 
+BLOCKS = 20
+BLOCKS = 20
 Array = NDArray[np.float64]
 Combination = Literal["hard", "blended"]
 
@@ -38,7 +42,8 @@ Combination = Literal["hard", "blended"]
 class Gsmms:
     """A fitted relation.
 
-    ``theta``: (M, d + 1), row m is ``[a_m, b_m]``. ``width``: of the blending in s, 0 for hard regions.
+    ``theta``: (M, d + 1), row m is ``[a_m, b_m]``; ``root``: R, (M (d + 1), BLOCKS). ``width``: of the
+    blending in s, 0 for hard regions.
     ``mean`` (M, d) and ``whiten`` (M, d, d): the training samples of a region, for the whitened distance
     ``|whiten_m (s - mean_m)|`` to what the region has seen; ``reach``: that distance's limit.
     """
@@ -61,15 +66,15 @@ class Gsmms:
             y[k : k + CHUNK][known] = np.einsum("nm,nm->n", self.weights(s), _with_one(s) @ self.theta.T)
         return y
 
-    def leverage(self, S: Array) -> Array:
-        """Variance of the prediction for want of training data, in units of ``rms^2``, shape (N,)."""
+    def doubt(self, S: Array) -> Array:
+        """Standard deviation of the prediction for want of training data, in the unit of y, shape (N,)."""
         out = np.full(len(S), np.nan)
         for k in range(0, len(S), CHUNK):
             known = np.isfinite(S[k : k + CHUNK]).all(axis=1)
             s = S[k : k + CHUNK][known]
             X = _with_one(s)
             phi = (self.weights(s)[:, :, None] * X[:, None, :]).reshape(len(s), self.theta.size)
-            out[k : k + CHUNK][known] = ((phi @ self.root) ** 2).sum(axis=1)
+            out[k : k + CHUNK][known] = np.sqrt(((phi @ self.root) ** 2).sum(axis=1))
         return out
 
     def weights(self, S: Array) -> Array:
@@ -153,20 +158,37 @@ def _blend(S: Array, nodes: Array, width: float) -> Array:
     return np.asarray(nu / nu.sum(axis=1, keepdims=True))
 
 
+def _blocks(N: int) -> list[slice]:
+    """The rows in BLOCKS parts, one after the other."""
+    edges = np.linspace(0, N, BLOCKS + 1).astype(int)
+    return [slice(a, b) for a, b in pairwise(edges)]
+
+
+def _jackknife(G: Array, h: Array, solve: Callable[[Array, Array], Array]) -> tuple[Array, Array]:
+    """Theta (M, k) from all blocks' Gram matrices (first axis), and the root of its jackknife covariance."""
+    all_G, all_h = G.sum(axis=0), h.sum(axis=0)
+    without = np.stack([solve(all_G - g, all_h - x).ravel() for g, x in zip(G, h, strict=True)])
+    root = np.sqrt((BLOCKS - 1) / BLOCKS) * (without - without.mean(axis=0)).T
+    return solve(all_G, all_h), root
+
+
 def _fit_hard(
     partition: Partition, S: Array, y: Array, weight: Array, neighbourhood: float
 ) -> tuple[Array, Array]:
-    """(5.48)-(5.50) from the regions' Gram matrices; theta and the root of its covariance."""
+    """(5.48)-(5.50) from the regions' Gram matrices."""
     X, unit = _with_one(S), partition.assign(S)
-    regions = [unit == m for m in range(len(partition.nodes))]
-    G = np.stack([X[r].T @ (X[r] * weight[r, None]) for r in regions])
-    h = np.stack([X[r].T @ (weight[r] * y[r]) for r in regions])
+    rows = [
+        [np.flatnonzero(unit[b] == m) + b.start for m in range(len(partition.nodes))] for b in _blocks(len(S))
+    ]
+    G = np.array([[X[r].T @ (X[r] * weight[r, None]) for r in regions] for regions in rows])
+    h = np.array([[X[r].T @ (weight[r] * y[r]) for r in regions] for regions in rows])
     mix = np.exp(-(partition.distances() ** 2) / (2 * neighbourhood**2))
-    G, h = np.einsum("mc,cij->mij", mix, G), mix @ h
-    inverse = np.linalg.pinv(G, hermitian=True)
-    values, vectors = np.linalg.eigh(inverse)
-    root = block_diag(*(vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]))
-    return np.einsum("mij,mj->mi", inverse, h), np.asarray(root)
+
+    def solve(G: Array, h: Array) -> Array:
+        inverse = np.linalg.pinv(np.einsum("mc,cij->mij", mix, G), hermitian=True)
+        return np.asarray(np.einsum("mij,mj->mi", inverse, mix @ h))
+
+    return _jackknife(G, h, solve)
 
 
 def _fit_blended(nodes: Array, S: Array, y: Array, weight: Array) -> tuple[Array, Array, float]:
@@ -174,35 +196,45 @@ def _fit_blended(nodes: Array, S: Array, y: Array, weight: Array) -> tuple[Array
     M, k = len(nodes), S.shape[1] + 1
     centre, scale = np.average(y, weights=weight), np.sqrt(np.cov(y, aweights=weight, ddof=0)) or 1.0
     target, N = (y - centre) / scale, weight.sum()
+    yy = float(weight @ target**2)
     apart = cdist(nodes, nodes) + np.diag(np.full(M, np.inf))
     spacing = float(apart.min(axis=1).mean())
-    best: tuple[float, Array, Array, float] | None = None
+    best: tuple[float, Array, Array, Array, float] | None = None
     for factor in (0.7, 1.0, 1.4, 2.0):
-        G, h, yy = np.zeros(((M + 1) * k, (M + 1) * k)), np.zeros((M + 1) * k), float(weight @ target**2)
-        for i in range(0, len(S), CHUNK):
-            rows = slice(i, i + CHUNK)
-            X = _with_one(S[rows])
-            local = _blend(S[rows], nodes, factor * spacing)[:, :, None] * X[:, None, :]
-            F = np.hstack([X, local.reshape(len(X), M * k)])
-            G += F.T @ (F * weight[rows, None])
-            h += F.T @ (weight[rows] * target[rows])
+        G, h = _blended_gram(nodes, factor * spacing, S, target, weight)
         for shrink in (0.01, 0.1, 1.0, 10.0):
             prior = np.concatenate([np.full(k, 1e-6), np.full(M * k, shrink)])
-            L = np.linalg.cholesky(G + np.diag(prior))
-            z = np.linalg.solve(L, h)
+            L = np.linalg.cholesky(G.sum(axis=0) + np.diag(prior))
+            z = np.linalg.solve(L, h.sum(axis=0))
             cost = (
                 N * np.log(max(yy - z @ z, 1e-12 * yy) / N)
                 + 2 * np.log(np.diag(L)).sum()
                 - np.log(prior).sum()
             )
             if best is None or cost < best[0]:
-                best = (float(cost), z, L, factor * spacing)
+                best = (float(cost), G, h, np.diag(prior), factor * spacing)
     assert best is not None
-    _, z, L, width = best
+    _, G, h, precision, width = best
     total = np.hstack([np.tile(np.eye(k), (M, 1)), np.eye(M * k)])  # theta_m = theta_0 + delta_m
-    theta = scale * (total @ np.linalg.solve(L.T, z)).reshape(M, k)
+    theta, root = _jackknife(G, h, lambda G, h: total @ np.linalg.solve(G + precision, h))
+    theta = scale * theta.reshape(M, k)
     theta[:, 0] += centre
-    return theta, np.asarray(np.linalg.solve(L, total.T).T, dtype=np.float64), width
+    return theta, scale * root, width
+
+
+def _blended_gram(nodes: Array, width: float, S: Array, target: Array, weight: Array) -> tuple[Array, Array]:
+    """Gram matrices and moments of the features ``(1, s), nu_m(s) (1, s)`` by block."""
+    size = (len(nodes) + 1) * (S.shape[1] + 1)
+    G, h = np.zeros((BLOCKS, size, size)), np.zeros((BLOCKS, size))
+    for b, block in enumerate(_blocks(len(S))):
+        for i in range(block.start, block.stop, CHUNK):
+            rows = slice(i, min(i + CHUNK, block.stop))
+            X = _with_one(S[rows])
+            local = _blend(S[rows], nodes, width)[:, :, None] * X[:, None, :]
+            F = np.hstack([X, local.reshape(len(X), -1)])
+            G[b] += F.T @ (F * weight[rows, None])
+            h[b] += F.T @ (weight[rows] * target[rows])
+    return G, h
 
 
 def _domain(partition: Partition, S: Array, weight: Array) -> tuple[Array, Array, float]:

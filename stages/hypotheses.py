@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 
 from ingest.errors import RecipeError
 from stages.formula import Formula
-from stages.relations import NOVELTY
-from stages.residuals import MODEL_SD, RESIDUAL, SIGMA
+from stages.residuals import MODEL_SD, RESIDUAL, SIGMA, UNFAMILIAR
 from stages.stage import RowWise
 
 Array = NDArray[np.float64]
@@ -103,10 +102,10 @@ class Points:
 
     def evaluate(self, values: Mapping[str, Array], elapsed: Array) -> tuple[Array, Array, Array, Array]:
         """Residuals, their spreads and the doubts of their relations, each (rows, points, residuals); and the
-        least novelty that any point gives a row, shape (rows,)."""
+        least novelty that any point gives them, shape (rows, residuals)."""
         n, H, R = len(elapsed), self.count, len(self.residuals)
         out = {kind: np.empty((n, H, R)) for kind in (RESIDUAL, SIGMA, MODEL_SD)}
-        novelty = np.empty(n)
+        novelty = np.empty((n, R))
         step = max(1, CHUNK // H)
         for k in range(0, n, step):
             rows = slice(k, k + step)
@@ -114,7 +113,8 @@ class Points:
             for i, r in enumerate(self.residuals):
                 for kind, array in out.items():
                     array[rows, :, i] = computed[kind + r].reshape(H, -1).T
-            novelty[rows] = np.nan_to_num(computed[NOVELTY].reshape(H, -1), nan=np.inf).min(axis=0)
+                far = np.nan_to_num(computed[UNFAMILIAR + r].reshape(H, -1), nan=np.inf)
+                novelty[rows, i] = far.min(axis=0)
         return out[RESIDUAL], out[SIGMA], out[MODEL_SD], novelty
 
     def _computed(self, values: Mapping[str, Array], elapsed: Array) -> dict[str, Array]:

@@ -1,7 +1,8 @@
 """Isolate by undoing: which supposed fault, undone on the log, makes the residuals those of a healthy system?
 
 Every hypothesis f is undone at every size theta of its grid (:mod:`stages.hypotheses`), the residuals are
-computed anew, and their log-likelihood L is kept over several memories (:mod:`stages.evidence`). Between two
+computed anew, and their log-likelihood L (:mod:`stages.likelihood`) is kept over several memories
+(:mod:`stages.evidence`), and for a step where the operating point rests. Between two
 sizes of the grid the residuals are interpolated linearly, at ``between - 1`` further sizes. With the
 peak over sizes and its standard deviation d, the evidence for f is the Laplace approximation of the ratio of
 marginal likelihoods,
@@ -17,10 +18,8 @@ at a novelty of 1 to 0 at ``known_to``.
 
 The alarm statistic is the largest amount by which the evidence of a fault over a memory exceeds its
 threshold; it must be positive for ``confirm_s``. From then on the evidence is that of the episode, which
-starts from the second shortest memory and forgets with the longest. ``p`` is the softmax of the evidence
-times ``temper``, as samples are correlated beyond ``tau_c``. The alarm ends when over the second shortest
-memory the log as it is was better than the named fault by ``clear``, or no fault has evidence any more, for
-``confirm_s``.
+starts afresh (after a step, from the step's evidence) and forgets with the longest memory. ``p`` is the
+softmax of the evidence times ``temper``, as samples are correlated beyond ``tau_c``.
 """
 
 from __future__ import annotations
@@ -36,10 +35,11 @@ from numpy.typing import NDArray
 
 from ingest.errors import RecipeError
 from ingest.log import TIME, Log
-from stages.evidence import SUMS, follow
+from stages.evidence import Grid, Memory, Rows, Settings, follow
 from stages.formula import Formula
 from stages.gate import GATE
 from stages.hypotheses import DRIFT_PRIOR, Drift, Hypothesis, Points
+from stages.likelihood import SUMS
 from stages.relations import familiarity
 from stages.residuals import Residuals
 from stages.results import DETECTION, EVIDENCE, PROBABILITY, SIZE, SIZE_SD, STATISTIC, UNKNOWN
@@ -50,24 +50,21 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class IsolateState:
-    """Time of the log's first and last row; sums by memory (the episode last), point and residual, shape (T +
-    1, points, residuals, SUMS); [in alarm, s since the alarm's condition or its end's holds, named fault, its
-    size and evidence, s since the alarm]."""
+    """Time of the log's first and last row, and what the recursion remembers."""
 
     first: float
     time: float
-    S: Array
-    clocks: Array
-    largest: Array  # evidence so far, by memory and fault
+    memory: Memory
 
 
 @dataclass(frozen=True, kw_only=True)
 class Isolate:
     """``offsets``: by residual, what differs from run to run: a shape's formula and its standard deviation;
-    ``residuals``: those to judge by, all if none is named.
+    ``residuals``: those to judge by, all if none is named; ``rest``: columns that no fault concerns, and the
+    relative change of each that ends a rest (none: no search for steps).
 
     The threshold of a fault and a memory is ``margin`` more than the largest evidence in the calibration
-    logs, at least ``min_threshold``.
+    logs, at least ``min_threshold``, for a step ``min_step_threshold``.
 
     Raises:
         RecipeError: fewer than two memories, or not rising; more than two shapes for a residual; no residuals
@@ -83,13 +80,17 @@ class Isolate:
     memories_s: tuple[float, ...] = (3.0, 10.0, 30.0, 100.0, 300.0)
     correlation_s: float = 2.0
     min_gate: float = 0.05
-    clip: float = 6.0
+    clip: float = 4.0
     between: int = 4
     known_to: float = 1.2
     margin: float = 3.0
     min_threshold: float = 12.0
+    min_step_threshold: float = 8.0
+    rest: Mapping[str, float] = field(default_factory=dict)
+    rest_s: float = 30.0
+    step_ages_s: tuple[float, ...] = (3.0, 5.0, 8.0)
     confirm_s: float = 1.0
-    clear: float = 8.0
+    decide_s: float = 0.5
     temper: float = 0.5
     unknown_sd: float = 30.0
     unknown_penalty: float = 60.0
@@ -108,7 +109,7 @@ class Isolate:
     @property
     def needs(self) -> set[str]:
         shapes = {name for s in self.offsets.values() for text in s for name in Formula(text).names}
-        return shapes.union(*(h.needs for h in self.hypotheses.values()))
+        return shapes.union(self.rest, *(h.needs for h in self.hypotheses.values()))
 
     @property
     def adds(self) -> set[str]:
@@ -140,13 +141,14 @@ class Isolate:
         return Points([*drifts, *self.hypotheses.values()], chain, residuals)
 
     def fit(self, blocks: Sequence[Log], before: Sequence[Sequence[Stage]] = (), /) -> Self:
-        shape = (len(self.memories_s), len(self.hypotheses))
+        shape = (len(self.memories_s) + 1, len(self.hypotheses))
         silent = replace(self, learned={"threshold": np.full(shape, np.inf)})
         largest = np.zeros(shape)
         for block, passed in zip(blocks, before, strict=True):
             stage = silent.connect(passed)
-            largest = np.maximum(largest, stage.step(stage.start(), block)[0].largest)
-        return replace(self, learned={"threshold": np.maximum(largest + self.margin, self.min_threshold)})
+            largest = np.maximum(largest, stage.step(stage.start(), block)[0].memory.largest)
+        least = np.append(np.full(len(self.memories_s), self.min_threshold), self.min_step_threshold)
+        return replace(self, learned={"threshold": np.maximum(largest + self.margin, least[:, None])})
 
     def refit(self, blocks: Sequence[Log], /) -> Self:
         return self
@@ -154,31 +156,47 @@ class Isolate:
     def start(self) -> IsolateState:
         if "threshold" not in self.learned:
             raise RecipeError("isolate: nothing learned yet; fit it first")
-        shape = (len(self.memories_s) + 1, len(self._grid[0]) + 1, len(self.points.residuals), SUMS)
-        largest = np.full((len(self.memories_s), len(self.hypotheses)), -np.inf)
-        return IsolateState(np.nan, np.nan, np.zeros(shape), np.zeros(6), largest)
+        F, R, points = len(self.hypotheses), len(self.points.residuals), len(self._grid.left) + 1
+        memory = Memory(
+            S=np.zeros((len(self.memories_s) + 2, points, R, SUMS)),
+            earlier=np.zeros((int(max(self.step_ages_s)) + 2, points, R, SUMS)),
+            times=np.full(int(max(self.step_ages_s)) + 2, np.inf),
+            place=np.full(len(self.rest), np.nan),
+            kept=np.zeros(points),
+            clocks=np.zeros(8),
+            largest=np.full((len(self.memories_s) + 1, F), -np.inf),
+            statistic=np.full(1, -np.inf),
+            evidence=np.zeros(F + 1),
+            p=np.zeros(F + 1),
+            size=np.zeros(F),
+            size_sd=np.full(F, np.nan),
+        )
+        return IsolateState(np.nan, np.nan, memory)
 
     def step(self, state: IsolateState, block: Log, /) -> tuple[IsolateState, Log]:
         time = block.groups[ANALYSIS].time
         values = columns(block)
         first = state.first if not time.size or np.isfinite(state.first) else float(time[0])
         dt = np.diff(time, prepend=state.time)
-        dt = np.where(np.isfinite(dt), dt, self.correlation_s)
-        active = np.nan_to_num(values.get(GATE, np.ones(time.size)), nan=0.0) >= self.min_gate
+        gate = np.nan_to_num(values.get(GATE, np.ones(time.size)), nan=0.0)
+        active = gate >= self.min_gate
         wanted = {TIME, GATE, *self.points.needs} & values.keys()
         needed = {c: values[c][active] for c in wanted}
         e, sigma, doubt, novelty = self.points.evaluate(needed, time[active] - first)
-        known = familiarity(novelty, self.known_to)
-        left, right, share, points, sizes, count, prior = self._grid
-        S, clocks, largest = state.S.copy(), state.clocks.copy(), state.largest.copy()
-        out = follow(
-            dt, active, known, e, sigma, doubt, self._shapes(needed), self._sd, self._unknown_sd,
-            points, sizes, prior, count, left, right, share,
-            np.array([*self.memories_s, self.memories_s[-1]]),
-            self.learned["threshold"], self._numbers, S, clocks, largest,
-        )  # fmt: skip
+        rows = Rows(
+            dt=np.where(np.isfinite(dt), dt, self.correlation_s),
+            active=active,
+            place=self._place(values),
+            known=familiarity(novelty, self.known_to),
+            e=e,
+            sigma=sigma,
+            doubt=doubt,
+            shapes=self._shapes(needed),
+        )
+        memory = Memory(*(x.copy() for x in state.memory))
+        out = follow(rows, self._grid, self._settings, memory)
         last = float(time[-1]) if time.size else state.time
-        return IsolateState(first, last, S, clocks, largest), add_columns(block, self._columns(*out))
+        return IsolateState(first, last, memory), add_columns(block, self._columns(*out))
 
     def _columns(
         self, statistic: Array, detection: NDArray[np.int8], evidence: Array, p: Array, size: Array, sd: Array
@@ -190,6 +208,13 @@ class Isolate:
             added |= {SIZE_SD + fault: width, PROBABILITY + fault: p[:, i].astype(np.float32)}
         return added | {PROBABILITY + UNKNOWN: p[:, -1].astype(np.float32)}
 
+    def _place(self, values: Mapping[str, Array]) -> Array:
+        """The operating point in units of what ends a rest, shape (rows, columns of ``rest``)."""
+        place = np.empty((len(values[TIME]), len(self.rest)))
+        for j, (name, within) in enumerate(self.rest.items()):
+            place[:, j] = np.log(np.maximum(values[name], 1e-12)) / within
+        return place
+
     def _shapes(self, values: Mapping[str, Array]) -> Array:
         """Offset shapes at each row, shape (rows, residuals, 2)."""
         shapes = np.zeros((len(values[TIME]), len(self.points.residuals), 2))
@@ -200,11 +225,22 @@ class Isolate:
                 shapes[:, i, 0] = 1.0  # for `unknown`
         return shapes
 
-    @property
-    def _numbers(self) -> Array:
-        """The settings that the compiled recursion needs."""
-        confirm, clear = self.confirm_s, self.clear
-        return np.array([self.correlation_s, self.clip, confirm, clear, self.temper, self.unknown_penalty])
+    @cached_property
+    def _settings(self) -> Settings:
+        """What the compiled recursion needs."""
+        return Settings(
+            memories=np.array([*self.memories_s, self.memories_s[-1], self.rest_s]),
+            ages=np.array(self.step_ages_s if self.rest else ()),
+            threshold=self.learned["threshold"],
+            sd=self._sd,
+            unknown_sd=self._unknown_sd,
+            correlation=self.correlation_s,
+            clip=self.clip,
+            confirm=self.confirm_s,
+            decide=self.decide_s,
+            temper=self.temper,
+            penalty=self.unknown_penalty,
+        )
 
     @cached_property
     def _sd(self) -> Array:
@@ -228,14 +264,7 @@ class Isolate:
         return np.column_stack([np.maximum(self.unknown_sd * sigma, self._sd[:, 0]), self._sd[:, 1]])
 
     @cached_property
-    def _grid(
-        self,
-    ) -> tuple[
-        NDArray[np.int64], NDArray[np.int64], Array, NDArray[np.int64], Array, NDArray[np.int64], Array
-    ]:
-        """The refined grid: for each of its points the points computed on either side and the share of the
-        right one; points and sizes of each fault in order, 0 (the log as it is) among them, and their number;
-        the log prior of each point as a healthy one, -inf for the faults'."""
+    def _grid(self) -> Grid:
         healthy = 1 + len(self.drifts) * len(DRIFT_PRIOR)
         left, right, share = list(range(healthy)), list(range(healthy)), [0.0] * healthy
         grids: list[list[tuple[float, int]]] = []
@@ -262,4 +291,4 @@ class Isolate:
         plain = 1.0 - sum(DRIFT_PRIOR) if self.drifts else 1.0
         prior[:healthy] = np.log([plain, *np.tile(DRIFT_PRIOR, len(self.drifts)) / max(len(self.drifts), 1)])
         counts = np.array([len(grid) for grid in grids])
-        return np.array(left), np.array(right), np.array(share), points, sizes, counts, prior
+        return Grid(np.array(left), np.array(right), np.array(share), points, sizes, counts, prior)

@@ -1,13 +1,12 @@
 """Relations: what a healthy system obeys, e.g. ``W_Cyl = f_Cyl(p_Int, n_Eng)`` of (5.36), each one a GSMMS.
 
 Fitted on fault-free training logs; each relation adds its prediction as a column of its own name, and
-``<name>.sd = doubt rms sqrt(leverage) max(1, novelty)^2``, how far the prediction may be off for want of
-training data. ``doubt`` is above 1, since samples are correlated, and beyond the trained domain an affine
-model errs with the square of the distance. One relation also names the operating regime: column ``regime`` is
-the best matching unit on its map. ``novelty`` is a relation's own or the regime's, whichever is larger: at an
-operating point that was never met, no relation can be trusted. Column ``novelty`` is the
-largest, ``in_domain`` says that it is at most 1; no
-sample is thrown away.
+``<name>.sd = doubt doubt_f(s) max(1, novelty)^2``, how far the prediction may be off for want of training
+data (``doubt_f``: :mod:`stages.gsmms`): beyond the trained domain an affine model errs with the square of the
+distance. ``<name>.novelty`` is the relation's own or the regime's, whichever is larger: at an operating point
+that was never met, no relation can be trusted. One relation also names the operating regime: column
+``regime`` is the best matching unit on its map. ``in_domain`` says that every novelty is at most 1; no sample
+is thrown away.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ from stages.normalise import SUFFIX
 from stages.partition import Growth, Partition
 from stages.stage import Arrays, Stage, add_columns, columns
 
-REGIME, NOVELTY, IN_DOMAIN, SD = "regime", "novelty", "in_domain", ".sd"
+REGIME, IN_DOMAIN, NOVELTY, SD = "regime", "in_domain", ".novelty", ".sd"
 
 
 def familiarity(novelty: NDArray[np.float64], known_to: float) -> NDArray[np.float64]:
@@ -169,7 +168,7 @@ class Relations:
 
     @property
     def adds(self) -> set[str]:
-        return {REGIME, NOVELTY, IN_DOMAIN}.union(*({n, n + SD} for n in self.relations))
+        return {REGIME, IN_DOMAIN}.union(*({n, n + SD, n + NOVELTY} for n in self.relations))
 
     def start(self) -> None:
         return None
@@ -187,10 +186,8 @@ class Relations:
         for name, S in inputs.items():
             model = self.models[name]
             novelty = np.maximum(model.novelty(S), everywhere)
-            added[name] = model.predict(S)
-            added[name + SD] = (
-                self.doubt * model.rms * np.sqrt(model.leverage(S)) * np.maximum(1.0, novelty) ** 2
-            )
+            added |= {name: model.predict(S), name + NOVELTY: novelty}
+            added[name + SD] = self.doubt * model.doubt(S) * np.maximum(1.0, novelty) ** 2
             largest = np.maximum(largest, novelty)
         unit = regime.partition.assign(inputs[self.regime])
-        return added | {REGIME: unit, NOVELTY: largest, IN_DOMAIN: largest <= 1}
+        return added | {REGIME: unit, IN_DOMAIN: largest <= 1}

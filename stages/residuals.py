@@ -6,7 +6,7 @@ the gate, of values within 8 robust standard deviations, shrunk to the spread ov
 been seen in ``prior_samples`` further samples. Away from steady state the spread of a sample is ``sigma /
 sqrt(gate)``; where a relation is in doubt for want of training data (:mod:`stages.relations`) the residual
 inherits that as ``model_sd``, by finite differences. Columns: ``residual.<r>``, ``model_sd.<r>``,
-``sigma.<r>`` (all of it) and ``z.<r> = residual / sigma``.
+``sigma.<r>`` (all of it), ``z.<r> = residual / sigma``, and ``novelty.<r>``, the largest of its relations.
 """
 
 from __future__ import annotations
@@ -23,10 +23,11 @@ from ingest.errors import LogError, RecipeError
 from ingest.log import TIME, Log
 from stages.formula import Formula
 from stages.gate import GATE
-from stages.relations import REGIME, SD
+from stages.relations import NOVELTY, REGIME, SD
 from stages.stage import ANALYSIS, Arrays, Stage, add_columns, columns
 
 RESIDUAL, MODEL_SD, SIGMA, Z = "residual.", "model_sd.", "sigma.", "z."
+UNFAMILIAR = "novelty."
 MIN_GATE = 1e-3
 
 
@@ -105,7 +106,7 @@ class Residuals:
 
     @property
     def adds(self) -> set[str]:
-        return {k + r for r in self.residuals for k in (RESIDUAL, MODEL_SD, SIGMA, Z)}
+        return {k + r for r in self.residuals for k in (RESIDUAL, MODEL_SD, SIGMA, Z, UNFAMILIAR)}
 
     def start(self) -> None:
         return None
@@ -125,7 +126,11 @@ class Residuals:
             e = np.broadcast_to(formula(values), unit.shape)
             doubt = _model_sd(formula, values, e)
             sigma = np.hypot(table[i, unit] / np.sqrt(self._weight(name, values)), doubt)
-            added |= {RESIDUAL + name: e, MODEL_SD + name: doubt, SIGMA + name: sigma, Z + name: e / sigma}
+            novelty = [values[n + NOVELTY] for n in formula.names if n + NOVELTY in values]
+            added |= {
+                RESIDUAL + name: e, MODEL_SD + name: doubt, SIGMA + name: sigma, Z + name: e / sigma,
+                UNFAMILIAR + name: np.max(novelty, axis=0) if novelty else np.zeros_like(e),
+            }  # fmt: skip
         return added
 
     def _weight(self, name: str, values: Mapping[str, NDArray[np.float64]]) -> NDArray[np.float64]:

@@ -73,25 +73,39 @@ def test_blending_beats_hard_regions_and_both_beat_one_plane() -> None:
     assert error["blended"] < 0.015
 
 
-def test_leverage_is_the_variance_over_repeated_noise() -> None:
+@pytest.mark.parametrize("combination", ["hard", "blended"])
+def test_doubt_is_the_deviation_over_repeated_noise(combination: str) -> None:
     """A model of fixed regions and width, fitted to fresh noise many times."""
     rng = np.random.default_rng(5)
     S, _ = sample(400, 0)
-    model = fit_gsmms(S, np.sin(5 * S[:, 0]), growth=Growth(nodes=1))
     query = np.array([[0.5, 0.5], [1.5, -0.5]])
-    spread = np.std(
-        [fit_gsmms(S, rng.normal(size=400), growth=Growth(nodes=1)).predict(query) for _ in range(400)],
-        axis=0,
-    )
-    np.testing.assert_allclose(np.sqrt(model.leverage(query)), spread, rtol=0.12)
+    models = [
+        fit_gsmms(S, rng.normal(size=400), growth=Growth(nodes=1), combination=combination)  # type: ignore[arg-type]
+        for _ in range(200)
+    ]
+    spread = np.std([m.predict(query) for m in models], axis=0)
+    doubt = np.sqrt(np.mean([m.doubt(query) ** 2 for m in models], axis=0))
+    np.testing.assert_allclose(doubt, spread, rtol=0.12)
 
 
-def test_leverage_and_novelty_grow_away_from_the_training_data() -> None:
+def test_what_rests_on_one_visit_is_doubted() -> None:
+    """Samples that all say the same are no more certain for being many, where they are of one block."""
+    rng = np.random.default_rng(6)
+    S = rng.uniform(0, 0.6, (2000, 1))
+    S[1000:1100] = rng.uniform(0.8, 1.0, (100, 1))
+    y = S[:, 0] + rng.normal(0, 0.01, 2000)
+    y[1000:1100] += 0.3
+    model = fit_gsmms(S, y, growth=Growth(nodes=8))
+    often, once = model.doubt(np.array([[0.3], [0.9]]))
+    assert once > 0.1 > 0.01 > often
+
+
+def test_doubt_and_novelty_grow_away_from_the_training_data() -> None:
     S, y = sample(2000, 0)
     model = fit_gsmms(S, y, growth=Growth(nodes=10))
     line = np.column_stack([np.linspace(1.0, 3.0, 20), np.full(20, 0.5)])
     assert (np.diff(model.novelty(line)) > 0).all()
-    assert model.leverage(line)[-1] > 20 * model.leverage(line)[0]
+    assert model.doubt(line)[-1] > 4 * model.doubt(line)[0]
     assert (model.novelty(S) <= 1).mean() == pytest.approx(0.999, abs=2e-3)
 
 
