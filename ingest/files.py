@@ -22,7 +22,7 @@ from ingest.mapping import apply_map
 from ingest.maps import NameMap, load_map
 from ingest.readers import FORMATS, Reader, Recording, Streamer, reader
 from ingest.recording import recording
-from ingest.remote import fetch
+from ingest.remote import fetch, file_name, listing
 
 _SUFFIXES = tuple(s for known in FORMATS.values() for s in known)
 
@@ -102,30 +102,36 @@ def write_log(log: Log, path: str | Path, attachments: Mapping[str, bytes] | Non
     return path
 
 
-def find_logs(patterns: Iterable[str | Path]) -> list[Path]:
+def find_logs(patterns: Iterable[str | Path], *, remote: bool = False) -> list[Path]:
     """The files meant by files, folders, globs, URLs and ``@list.txt`` (one of these a line).
 
     Of a folder its own files with a suffix of a known format count, in order of their names. Each file counts
-    once, where it is meant first. What means no file stands in the result as it is, so that reading it fails
-    and the others are read.
+    once, where it is meant first. Those behind URLs are fetched, unless they are to stay ``remote``. What
+    means no file stands in the result as it is, so that reading it fails and the others are read.
 
     Raises:
         LogError: none of them means a file; all are listed.
     """
     found: dict[Path, None] = {}
     mistakes: list[str] = []
+    some = False
     for pattern in patterns:
-        found |= dict.fromkeys(_meant(str(pattern), mistakes) or [Path(pattern)])
-    if not any(p.is_file() for p in found):
+        meant = _meant(str(pattern), mistakes, remote)
+        some = some or bool(meant)
+        found |= dict.fromkeys(meant or [Path(pattern)])
+    if not some:
         raise LogError("\n".join(mistakes) or "no logs were named")
     return list(found)
 
 
 def unique_stems(paths: Sequence[Path]) -> list[str]:
     """A folder name for each log: its stem, and for equal stems ``<stem>-<8 hex digits of its sha256>``."""
-    stems = Counter(p.stem for p in paths)
-    twice = [p.is_file() and stems[p.stem] > 1 for p in paths]
-    return [f"{p.stem}-{sha256(p)[:8]}" if t else p.stem for p, t in zip(paths, twice, strict=True)]
+    names = [Path(file_name(p)).stem for p in paths]
+    count = Counter(names)
+    twice = [
+        count[n] > 1 and (p.is_file() or url_of(p) is not None) for p, n in zip(paths, names, strict=True)
+    ]
+    return [f"{n}-{sha256(_local(p))[:8]}" if t else n for p, n, t in zip(paths, names, twice, strict=True)]
 
 
 def group_file(group: str) -> str:
@@ -143,12 +149,24 @@ def sha256(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def _local(path: str | Path) -> Path:
-    """The file itself, or a copy of what a URL means; ``Path`` makes one slash of two."""
+def url_of(path: str | Path) -> str | None:
+    """The URL that a path stands for, if it does: ``Path`` makes one slash of two.
+
+    >>> url_of(Path("s3://bench/a.mcap"))
+    's3://bench/a.mcap'
+    """
     url = re.fullmatch(r"([A-Za-z][A-Za-z0-9+.-]+):/{1,2}(.+)", str(path), re.DOTALL)
-    if url is None or Path(path).exists():
+    return None if url is None or Path(path).exists() else f"{url[1]}://{url[2]}"
+
+
+def _local(path: str | Path) -> Path:
+    """The file itself, or a copy of what a URL means."""
+    url = url_of(path)
+    if url is None:
         return Path(path)
-    return Path("/" + url[2].lstrip("/")) if url[1] == "file" else fetch(f"{url[1]}://{url[2]}", _SUFFIXES)[0]
+    if url.startswith("file://"):
+        return Path("/" + url.removeprefix("file://").lstrip("/"))
+    return fetch(url, _SUFFIXES)[0]
 
 
 def _names(map: NameMap | str | Path | None) -> NameMap:
@@ -201,18 +219,18 @@ def _format(path: Path) -> tuple[str, Reader]:
     )
 
 
-def _meant(pattern: str, mistakes: list[str]) -> list[Path]:
+def _meant(pattern: str, mistakes: list[str], remote: bool) -> list[Path]:
     url = urlsplit(pattern)
     if len(url.scheme) > 1 and "//" in pattern:
         if url.scheme == "file":
-            return _meant(unquote(url.path), mistakes)
+            return _meant(unquote(url.path), mistakes, remote)
         try:
-            return fetch(pattern, _SUFFIXES)
+            return [Path(u) for u in listing(pattern, _SUFFIXES)] if remote else fetch(pattern, _SUFFIXES)
         except LogError as error:
             mistakes.append(str(error))
             return []
     if pattern.startswith("@") and not Path(pattern).exists():
-        return _listed(Path(pattern[1:]), mistakes)
+        return _listed(Path(pattern[1:]), mistakes, remote)
     path = Path(pattern)
     if path.is_file():
         return [path]
@@ -239,7 +257,7 @@ def _missing(path: Path) -> str:
     return f"{path}: there is no such file{f'; did you mean {near[0]}?' if near else ''}"
 
 
-def _listed(path: Path, mistakes: list[str]) -> list[Path]:
+def _listed(path: Path, mistakes: list[str], remote: bool) -> list[Path]:
     try:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
@@ -248,4 +266,4 @@ def _listed(path: Path, mistakes: list[str]) -> list[Path]:
     wanted = [line.strip() for line in lines if line.strip() and not line.lstrip().startswith("#")]
     if not wanted:
         mistakes.append(f"@{path}: the list is empty")
-    return [file for line in wanted for file in _meant(line, mistakes)]
+    return [file for line in wanted for file in _meant(line, mistakes, remote)]

@@ -9,7 +9,8 @@ from __future__ import annotations
 import atexit
 import shutil
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from fnmatch import fnmatch
 from functools import cache
 from pathlib import Path, PurePosixPath
@@ -22,33 +23,73 @@ _PIECE = 1 << 22
 
 
 def fetch(url: str, suffixes: Sequence[str]) -> list[Path]:
-    """Local copies of what a URL means: a file, a folder's files with one of ``suffixes``, or a glob's.
+    """Local copies of what a URL means, see :func:`listing`; each in a folder of its own, so that names stay
+    as they are.
+
+    Raises:
+        LogError: as :func:`listing`, or a file cannot be read.
+    """
+    return [download(found, Path(tempfile.mkdtemp(dir=_folder()))) for found in listing(url, suffixes)]
+
+
+def listing(url: str, suffixes: Sequence[str]) -> list[str]:
+    """The URLs of the files that a URL means: itself, a folder's files with one of ``suffixes``, or a glob's.
 
     Raises:
         LogError: no such address, nothing there, no access, or a library for the scheme is missing.
     """
-    import pyarrow as pa
     from pyarrow import fs as files
 
-    scheme = url.partition("://")[0].lower()
+    scheme, _, rest = url.partition("://")
     where, pattern = _parted(url)
-    try:
-        system, base = _file_system(where, scheme, files)
+    options = rest.partition("?")[1] + rest.partition("?")[2]
+    with _readable(url):
+        system, base = file_system(where)
         info = system.get_file_info(base)
         if info.type == files.FileType.File:
-            found = [base]
-        else:
-            inside = system.get_file_info(files.FileSelector(base, recursive="**" in pattern))
-            plain = sorted(i.path for i in inside if i.type == files.FileType.File)
-            found = [p for p in plain if _fits(p, base, pattern, suffixes)]
+            return [url]
+        inside = system.get_file_info(files.FileSelector(base, recursive="**" in pattern))
+        plain = sorted(i.path for i in inside if i.type == files.FileType.File)
+        found = [p for p in plain if _fits(p, base, pattern, suffixes)]
         if not found:
             wanted = f"fits {pattern}" if pattern else f"ends in {' '.join(suffixes)}"
-            raise LogError(f"{_hidden(url)}: no file there {wanted}")
-        return [_copy(system, path) for path in found]
+            raise LogError(f"{hidden(url)}: no file there {wanted}")
+        return [f"{scheme}://{path.lstrip('/')}{options}" for path in found]
+
+
+def download(url: str, folder: Path) -> Path:
+    """A copy of a file in ``folder``, under its own name.
+
+    Raises:
+        LogError: it cannot be read.
+    """
+    with _readable(url):
+        system, path = file_system(url)
+        target = folder / file_name(url)
+        with system.open_input_stream(path) as source, target.open("wb") as copy:
+            shutil.copyfileobj(source, copy, _PIECE)
+        return target
+
+
+def file_name(url: str | Path) -> str:
+    """The name of the file that a URL means, without options.
+
+    >>> file_name("s3://bench/run/a.mcap?region=x")
+    'a.mcap'
+    """
+    return PurePosixPath(str(url).partition("?")[0]).name or "log"
+
+
+@contextmanager
+def _readable(url: str) -> Iterator[None]:
+    import pyarrow as pa
+
+    try:
+        yield
     except LogError:
         raise
     except (OSError, ValueError, pa.ArrowException, ImportError) as error:
-        raise LogError(f"{_hidden(url)} cannot be read: {str(error).splitlines()[0]}") from error
+        raise LogError(f"{hidden(url)} cannot be read: {str(error).splitlines()[0]}") from error
 
 
 def _parted(url: str) -> tuple[str, str]:
@@ -61,7 +102,11 @@ def _parted(url: str) -> tuple[str, str]:
     return "/".join(parts[:first]) + mark + options, "/".join(parts[first:])
 
 
-def _file_system(url: str, scheme: str, files: Any) -> tuple[Any, str]:
+def file_system(url: str) -> tuple[Any, str]:
+    """The file system of a URL as pyarrow's, and the path in it."""
+    from pyarrow import fs as files
+
+    scheme = url.partition("://")[0].lower()
     if scheme in _SIMPLE:
         return tuple(files.FileSystem.from_uri(url))
     try:
@@ -81,14 +126,6 @@ def _fits(path: str, base: str, pattern: str, suffixes: Sequence[str]) -> bool:
     return fnmatch(path[len(base.rstrip("/")) + 1 :], pattern)
 
 
-def _copy(system: Any, path: str) -> Path:
-    """A local copy, in a folder of its own, so that names stay as they are."""
-    target = Path(tempfile.mkdtemp(dir=_folder())) / (PurePosixPath(path.partition("?")[0]).name or "log")
-    with system.open_input_stream(path) as source, target.open("wb") as copy:
-        shutil.copyfileobj(source, copy, _PIECE)
-    return target
-
-
 @cache
 def _folder() -> str:
     folder = tempfile.mkdtemp(prefix="dynoscope-")
@@ -96,7 +133,7 @@ def _folder() -> str:
     return folder
 
 
-def _hidden(url: str) -> str:
+def hidden(url: str) -> str:
     """The URL without a password in it."""
     scheme, mark, rest = url.partition("://")
     account, at, place = rest.partition("@")

@@ -5,15 +5,16 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from os.path import commonpath
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import polars as pl
 
 from ingest.errors import DynoscopeError, LogError
-from ingest.files import unique_stems
+from ingest.files import unique_stems, url_of
 from ingest.maps import NameMap, load_map
 from pipeline.cache import Cache
 from pipeline.detector import Detector
@@ -21,7 +22,8 @@ from pipeline.digest import map_digest
 from pipeline.engines import Engine, Processes, Serial
 from pipeline.files import sweep
 from pipeline.recipe import Recipe
-from pipeline.summary import Row, Summary
+from pipeline.remote_out import fetch_folder, inside
+from pipeline.summary import SUMMARY, VEHICLES, Row, Summary
 from pipeline.task import Task, done, failure, pack, run_task
 
 Progress = Callable[[str, Row], None]
@@ -64,24 +66,36 @@ def run(
     options = options or Options()
     if options.cache:
         Cache(options.cache).check()
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise LogError(f"output folder {out} cannot be made: {error.strerror or error}") from None
-    sweep(out)
-    tasks = plan(logs, detector, out, options)
-    summary = Summary(out, [task.name for task in tasks])
-    todo = [t for t in tasks if not options.only_failed or has_failed(summary, t)]
-    try:
+    with _folder(out) as (here, url):
+        tasks = plan(logs, detector, out, options)
+        summary = Summary(here, [task.name for task in tasks], url)
+        todo = [t for t in tasks if not options.only_failed or has_failed(summary, t)]
         with _engine(options, detector.recipe) as engine:
             for task, row in _outcomes(engine, todo):
                 row |= {"recipe": detector.recipe.name, "detector": detector.key}
                 summary.add(row)
                 progress(task.name, row)
         summary.write()
+        return summary.frame(only=[task.name for task in tasks])
+
+
+@contextmanager
+def _folder(out: Path) -> Iterator[tuple[Path, str | None]]:
+    """The output folder on this machine, and the URL where it really is, if it is behind one."""
+    if url := url_of(out):
+        with TemporaryDirectory(prefix="dynoscope-") as name:
+            fetch_folder(url, Path(name), (f"{SUMMARY}.parquet", VEHICLES))
+            yield Path(name), url
+        return
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise LogError(f"output folder {out} cannot be made: {error.strerror or error}") from None
+    sweep(out)
+    try:
+        yield out, None
     finally:
         sweep(out)  # drafts of workers that are no more
-    return summary.frame(only=[task.name for task in tasks])
 
 
 def plan(logs: Sequence[Path], detector: Detector, out: Path, options: Options) -> list[Task]:
@@ -90,12 +104,17 @@ def plan(logs: Sequence[Path], detector: Detector, out: Path, options: Options) 
     names = load_map(names) if isinstance(names, Path) else names
     return [
         Task(
-            path=path, name=name, folder=out / name, detector=packed, name_map=names,
+            path=path, name=name, folder=_inside(out, name), detector=packed, name_map=names,
             map_digest=map_digest(names), vehicle=vehicle,
             timeline=options.timeline, force=options.force, cache=options.cache, debug=options.debug,
         )
         for path, name, vehicle in zip(logs, unique_stems(logs), vehicles_by_folder(logs), strict=True)
     ]  # fmt: skip
+
+
+def _inside(out: Path, name: str) -> Path:
+    url = url_of(out)
+    return out / name if url is None else Path(inside(url, name))
 
 
 def vehicles_by_folder(logs: Sequence[Path]) -> list[str | None]:
@@ -114,8 +133,9 @@ def vehicles_by_folder(logs: Sequence[Path]) -> list[str | None]:
 def to_do(logs: Sequence[Path], detector: Detector, out: Path, options: Options) -> list[tuple[str, str]]:
     """What :func:`run` would do with each log: ``run`` (and why) or ``done``; nothing is written."""
     tasks = plan(logs, detector, out, options)
-    summary = Summary(out, [task.name for task in tasks])
-    return [(task.name, _intent(task, summary, options)) for task in tasks]
+    with _folder(out) if url_of(out) else nullcontext((out, None)) as (here, _):
+        summary = Summary(here, [task.name for task in tasks])
+        return [(task.name, _intent(task, summary, options)) for task in tasks]
 
 
 def _intent(task: Task, summary: Summary, options: Options) -> str:

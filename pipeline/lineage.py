@@ -10,7 +10,7 @@ from typing import Any
 import polars as pl
 
 from ingest.errors import LogError, RecipeError, StoreError, did_you_mean
-from ingest.files import sha256
+from ingest.files import sha256, url_of
 from pipeline.detector import load_record
 from pipeline.outputs import ANNOTATED, MANIFEST, SAMPLES, SIGNALS, TIMELINE, VERDICT
 from pipeline.recipe import stage_of
@@ -83,6 +83,8 @@ def _columns(step: Mapping[str, Any]) -> dict[str, Any]:
 def _state(log: Mapping[str, Any]) -> str:
     """Whether the log still is what was read."""
     path = Path(str(log.get("path", "")))
+    if url_of(path):
+        return "not looked at, it is behind a URL"
     if not path.is_file():
         return "not there any more"
     return "unchanged" if sha256(path) == log["sha256"] else "changed since"

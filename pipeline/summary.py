@@ -14,6 +14,7 @@ from pipeline.driving_cycles import Vehicles
 from pipeline.files import aside
 from pipeline.fleet import fleet_table
 from pipeline.outputs import MANIFEST
+from pipeline.remote_out import send_files
 
 Row = dict[str, Any]
 SUMMARY_SCHEMA = {
@@ -61,14 +62,15 @@ def summary_frame(rows: Sequence[Mapping[str, Any]]) -> pl.DataFrame:
 class Summary:
     """The rows of a batch's folder ``out``: those of ``names`` in this order, then those of earlier batches.
 
-    Of earlier batches a row stays while the log's folder does; a failed log has none.
+    Of earlier batches a row stays while the log's folder does; a failed log has none. ``url``: where the
+    files are to be copied.
 
     Raises:
         LogError: the files cannot be written.
     """
 
-    def __init__(self, out: Path, names: Sequence[str]) -> None:
-        self.out = out
+    def __init__(self, out: Path, names: Sequence[str], url: str | None = None) -> None:
+        self.out, self.url = out, url
         self.names = names
         self.earlier = {row["log"]: row for row in _read(out)}
         self.rows = dict(self.earlier)
@@ -78,7 +80,7 @@ class Summary:
     def add(self, row: Row) -> None:
         """Take in a log's row, and write all files unless that was done a moment ago."""
         self.rows[row["log"]] = row
-        if len(self.rows) <= FEW or time.monotonic() - self._written > SHARE * self._took:
+        if (len(self.rows) <= FEW and not self.url) or time.monotonic() - self._written > SHARE * self._took:
             self.write()
 
     def write(self) -> None:
@@ -97,6 +99,8 @@ class Summary:
             raise LogError(
                 f"the summary in {self.out} cannot be written: {error.strerror or error}"
             ) from None
+        if self.url:
+            send_files([f for f in self.out.iterdir() if f.is_file()], self.url)
         self._written = time.monotonic()
         self._took = self._written - began
 

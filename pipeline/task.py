@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import pickle
+import re
 import time
 import traceback
 from collections.abc import Iterator, Mapping
@@ -15,15 +16,17 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import lru_cache, partial
 from pathlib import Path
+from tempfile import TemporaryDirectory, gettempdir
 from typing import Any
 
 from ingest import read_log
 from ingest.blocks import in_step
 from ingest.errors import DynoscopeError, LogError
-from ingest.files import read_blocks, read_header, sha256
+from ingest.files import read_blocks, read_header, sha256, url_of
 from ingest.log import Log
 from ingest.maps import NameMap
 from ingest.quality import Quality
+from ingest.remote import download, file_name, hidden
 from ingest.report import quality, with_quality
 from pipeline.cache import Cache
 from pipeline.detector import Detector, restore
@@ -42,6 +45,7 @@ from pipeline.outputs import (
     to_json,
     write_run,
 )
+from pipeline.remote_out import fetch_folder, send_files
 from pipeline.streaming import diagnose_parts
 from pipeline.summary import Row, verdict_row
 
@@ -62,6 +66,8 @@ class Task:
     name: str
     folder: Path
     detector: bytes
+    url: str | None = None  # where ``path`` was fetched from
+    send_to: str | None = None  # the URL that ``folder`` is to be copied to
     name_map: NameMap | None = None
     map_digest: str | None = None
     vehicle: str | None = None
@@ -84,51 +90,72 @@ def _unpacked(packed: bytes) -> Detector:
 def run_task(task: Task) -> Row:
     """Diagnose a log unless that has been done; its row of the summary, whatever happens."""
     detector = _unpacked(task.detector)
-    try:
-        row = _diagnosed(task, detector)
-    except Exception as error:  # whatever it is, the other logs are not to suffer
-        if task.debug:
-            traceback.print_exception(error)
-        row = failure(task, error)
+    with TemporaryDirectory(prefix="dynoscope-") as folder:
+        try:
+            row = _diagnosed(_here(task, Path(folder)), detector)
+        except Exception as error:  # whatever it is, the other logs are not to suffer
+            if task.debug:
+                traceback.print_exception(error)
+            row = failure(task, error)
     return row | {"recipe": detector.recipe.name, "detector": detector.key}
+
+
+def _here(task: Task, folder: Path) -> Task:
+    """The task on this machine: a log behind a URL is fetched, an output folder behind one is made here."""
+    url, out = url_of(task.path), url_of(task.folder)
+    if url is not None:
+        task = replace(task, path=download(url, folder), url=url)
+    if out is not None:
+        task = replace(task, folder=folder / "out" / task.name, send_to=out)
+        fetch_folder(out, task.folder, (MANIFEST, VERDICT))
+    return task
 
 
 def failure(task: Task, error: Exception) -> Row:
     """The row of a log that failed; it says nothing of where the log lay."""
     reason = str(error) if isinstance(error, DynoscopeError) else f"{type(error).__name__}: {error}"
-    reason = reason.replace(str(task.path), task.path.name)
+    for place in (url_of(task.path), str(task.path)):
+        reason = reason.replace(hidden(place), file_name(place)) if place else reason
+    reason = re.sub(rf"{re.escape(gettempdir())}/dynoscope-[^/]+/", "", reason)  # where a fetched log lay
     return {"log": task.name, "status": "failed", "reason": reason, "vehicle": task.vehicle}
 
 
 def done(task: Task) -> bool:
     """Whether the log has been diagnosed by the same detector, and nothing is missing."""
-    return (
-        task.path.is_file()
-        and _row(task, _key(task, sha256(task.path), _unpacked(task.detector))) is not None
-    )
+    with TemporaryDirectory(prefix="dynoscope-") as folder:
+        task = _here(task, Path(folder))
+        if not task.path.is_file():
+            return False
+        return _row(task, _key(task, sha256(task.path), _unpacked(task.detector))) is not None
 
 
 def _diagnosed(task: Task, detector: Detector) -> Row:
     began = time.perf_counter()
     if not task.path.is_file():
-        raise LogError(
-            f"{task.path}: {'a folder without logs' if task.path.is_dir() else 'there is no such file'}"
-        )
+        what = "a folder without logs" if task.path.is_dir() else "there is no such file"
+        raise LogError(f"{task.path}: {what}")
     content = sha256(task.path)
     key = _key(task, content, detector)
     if not task.force and (row := _row(task, key)):
         return row
-    facts = {"sha256": content, "path": str(task.path)}
+    facts = {"sha256": content, "path": hidden(task.url or str(task.path))}
     if task.cache and not task.force and (row := _kept(task, key)):
+        _send(task)
         return row
     if task.path.stat().st_size > WHOLE_BYTES:
         manifest = _in_parts(task, detector, key, facts, began)
     else:
         manifest = _whole(task, detector, key, facts, began)
+    _send(task)
     if task.cache:
         Cache(task.cache).keep_run(_run_key(task, key), task.folder)
     verdict = json.loads((task.folder / VERDICT).read_text(encoding="utf-8"))
     return _complete(task, verdict, manifest)
+
+
+def _send(task: Task) -> None:
+    if task.send_to:
+        send_files(list(task.folder.iterdir()), task.send_to, last=MANIFEST)
 
 
 def _whole(task: Task, detector: Detector, key: str, facts: Facts, began: float) -> Facts:

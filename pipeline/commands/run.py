@@ -61,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
             detector = store.get(recipe.name, args.detector) if store else unfitted_detector(recipe)
             check_recipe(detector, recipe)
     with problems:
-        paths = find_logs(args.logs)
+        paths = find_logs(args.logs, remote=True)
     problems.raise_any()
     options = batch.Options(
         timeline=not args.no_timeline, force=args.force, only_failed=args.only_failed, name_map=names,
