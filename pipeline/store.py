@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -34,19 +37,45 @@ class Store:
         Raises:
             StoreError: the folder cannot be written.
         """
-        try:
-            save_detector(detector, self.folder)
-            if self._history(detector.recipe.name) == []:
-                self.promote(detector.key, detector.recipe.name, "first of its recipe")
-        except OSError as error:
-            raise StoreError(f"store {self.folder} cannot be written: {error.strerror or error}") from None
+        self.keep(detector)
+        with self._writing(), self._locked():
+            if self.history(detector.recipe.name) == []:
+                self._note(detector.recipe.name, {"key": detector.key, "reason": "first of its recipe"})
         return self.champion(detector.recipe.name) == detector.key
 
+    def keep(self, detector: Detector) -> None:
+        """Keep ``detector``, which does not become champion.
+
+        Raises:
+            StoreError: the folder cannot be written.
+        """
+        with self._writing():
+            save_detector(detector, self.folder)
+
     def promote(self, key: str, recipe: str, reason: str) -> None:
-        """Make ``key`` the champion of ``recipe``; earlier ones stay in the history."""
-        entry = {"key": key, "reason": reason, "since": datetime.now(UTC).isoformat(timespec="seconds")}
-        text = json.dumps([*self._history(recipe), entry], indent=1) + "\n"
-        write_aside(self._pointer(recipe), text.encode())
+        """Make ``key`` the champion of ``recipe``; earlier ones stay in the history.
+
+        Raises:
+            StoreError: the folder cannot be written.
+        """
+        with self._writing(), self._locked():
+            self._note(recipe, {"key": key, "reason": reason})
+
+    def rollback(self, recipe: str, reason: str) -> str:
+        """Make the champion before the present one champion again, and return its key; doing it again goes
+        further back.
+
+        Raises:
+            StoreError: there was none before, or the folder cannot be written.
+        """
+        with self._writing(), self._locked():
+            stack = _standing(self.history(recipe))
+            if len(stack) < 2:
+                raise StoreError(
+                    f"recipe {recipe!r} of store {self.folder} has had no champion before this one"
+                )
+            self._note(recipe, {"key": stack[-2], "reason": reason, "back": "yes"})
+            return stack[-2]
 
     def champion(self, recipe: str) -> str:
         """Key of the champion.
@@ -54,7 +83,7 @@ class Store:
         Raises:
             StoreError: the recipe has none.
         """
-        history = self._history(recipe)
+        history = self.history(recipe)
         if not history:
             known = sorted({str(r["recipe"]) for r in self.records()})
             raise StoreError(
@@ -76,6 +105,14 @@ class Store:
             raise StoreError(f"detector {full} is of recipe {detector.recipe.name!r}, not {recipe!r}")
         return detector
 
+    def load(self, key: str) -> Detector:
+        """The detector with this full key.
+
+        Raises:
+            StoreError: it is damaged, or of another version.
+        """
+        return load_detector(self.folder, key)
+
     def resolve(self, key: str) -> str:
         """The full key that begins with ``key``.
 
@@ -93,13 +130,54 @@ class Store:
         """The records of all detectors, oldest first."""
         return sorted((load_record(p) for p in self._files()), key=lambda r: str(r["created"]))
 
+    def survey(self) -> list[dict[str, Any]]:
+        """What is in the store, oldest first: ``key recipe champion created training calibration``, and
+        ``problem`` of a detector that cannot be used."""
+        found = []
+        for path in self._files():
+            entry: dict[str, Any] = {"key": path.stem, "recipe": None, "champion": False, "created": None}
+            try:
+                record = load_record(path)
+                entry |= {k: record[k] for k in ("recipe", "created")}
+                history = self.history(record["recipe"])
+                entry["champion"] = bool(history) and history[-1]["key"] == path.stem
+                entry |= {k: [log["log"] for log in record[k]] for k in ("training", "calibration")}
+                load_detector(self.folder, path.stem)
+                entry["problem"] = None
+            except StoreError as error:
+                entry["problem"] = str(error)
+            found.append(entry)
+        return sorted(found, key=lambda e: (str(e["created"]), e["key"]))
+
     def _files(self) -> list[Path]:
         return [p for p in self.folder.glob("*.json") if not p.name.startswith(".")]  # no drafts
+
+    def _note(self, recipe: str, entry: dict[str, str]) -> None:
+        """Adds to a recipe's history; to be called while the store is locked."""
+        entry["since"] = datetime.now(UTC).isoformat(timespec="seconds")
+        text = json.dumps([*self.history(recipe), entry], indent=1) + "\n"
+        write_aside(self._pointer(recipe), text.encode())
+
+    @contextmanager
+    def _locked(self) -> Iterator[None]:
+        """One writer of pointers at a time, in whatever process; a lock goes with the process that has it."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        with (self.folder / ".lock").open("w") as file:
+            fcntl.flock(file, fcntl.LOCK_EX)
+            yield
+
+    @contextmanager
+    def _writing(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise StoreError(f"store {self.folder} cannot be written: {error.strerror or error}") from None
 
     def _pointer(self, recipe: str) -> Path:
         return self.folder / "champions" / f"{recipe}.json"
 
-    def _history(self, recipe: str) -> list[dict[str, str]]:
+    def history(self, recipe: str) -> list[dict[str, str]]:
+        """The champions of ``recipe``, the present one last; empty if it has none."""
         try:
             history = json.loads(self._pointer(recipe).read_text(encoding="utf-8"))
             if not history or any(not isinstance(entry["key"], str) for entry in history):
@@ -112,3 +190,18 @@ class Store:
                 f"champion pointer {self._pointer(recipe)} cannot be read: {error}; "
                 "delete it to begin anew, or name a detector with --detector"
             ) from None
+
+
+def _standing(history: Sequence[Mapping[str, str]]) -> list[str]:
+    """Keys of the champions that were not rolled back, the present one last.
+
+    >>> _standing([{"key": "a"}, {"key": "b"}, {"key": "c"}, {"key": "b", "back": "yes"}])
+    ['a', 'b']
+    """
+    stack: list[str] = []
+    for entry in history:
+        if "back" in entry:
+            stack.pop()
+        else:
+            stack.append(entry["key"])
+    return stack
