@@ -15,7 +15,7 @@ from ingest import write_log
 from ingest.errors import LogError
 from ingest.log import Log
 from pipeline import diagnose, run
-from pipeline.batch import Options
+from pipeline.batch import Options, to_do
 from pipeline.detector import Detector
 from pipeline.summary import SUMMARY_SCHEMA
 
@@ -252,3 +252,97 @@ def test_regime_of_samples_lies_on_the_map(done: Path, detector: Detector) -> No
     assert regime.min() >= -1
     assert regime.max() < len(nodes)
     assert len(np.unique(regime)) > 3
+
+
+def test_driving_cycles_of_a_fleet(
+    logs: Path, faulty: Log, healthy: list[Log], detector: Detector, tmp_path: Path
+) -> None:
+    def drive(log: Log, path: str) -> Path:
+        nobody = {k: v for k, v in log.facts.items() if k != "vehicle"}
+        (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
+        return write_log(replace(log, facts=nobody), tmp_path / path)
+
+    first = [drive(faulty, "fleet/car/drive9.parquet"), drive(healthy[1], "fleet/van/drive1.parquet")]
+    run(first, detector, tmp_path / "out", PLAIN)
+    shutil.rmtree(tmp_path / "out" / "drive9")  # its cycle is remembered
+    later = [
+        drive(faulty.between(0.0, 300.0), "fleet/car/drive10.parquet"),
+        drive(healthy[0], "fleet/van/drive2.parquet"),
+    ]
+    run(later, detector, tmp_path / "out", PLAIN)
+    rows = {row["log"]: row for row in pl.read_parquet(tmp_path / "out" / "summary.parquet").to_dicts()}
+    assert set(rows) == {"drive10", "drive1", "drive2"}
+    codes = {log: (row["vehicle"], row["cycle"], row["fault_codes"], row["mil"]) for log, row in rows.items()}
+    assert codes == {
+        "drive10": ("car", 2, "maf_gain:confirmed", True),
+        "drive1": ("van", 1, None, False),
+        "drive2": ("van", 2, None, False),
+    }
+    fleet = pl.read_csv(tmp_path / "out" / "fleet.csv")
+    assert fleet.select("vehicle", "logs", "faulty", "last_log").rows() == [
+        ("car", 1, 1, "drive10"),
+        ("van", 2, 0, "drive2"),
+    ]
+
+
+def test_only_failed(again: tuple[list[Path], Path], detector: Detector, tmp_path: Path) -> None:
+    paths, out = again
+    good = paths[0].read_bytes()
+    paths[0].write_bytes(b"PAR1")
+    run(paths, detector, out, PLAIN)
+    options = replace(PLAIN, only_failed=True)
+    intents = dict(to_do(paths, detector, out, options))
+    assert intents == {"faulty": "run: it failed before", "healthy2": "leave: it has not failed"}
+    paths[0].write_bytes(good)
+    paths[1].write_bytes(b"changed, but it did not fail")
+    summary = run(paths, detector, out, options)
+    assert summary["status"].to_list() == ["ok", "ok"]
+    assert dict(to_do(paths, detector, out, PLAIN))["healthy2"] == "run: changed or incomplete"
+
+
+def test_a_dry_run_changes_nothing(logs: Path, detector: Detector, tmp_path: Path) -> None:
+    paths = [logs / "faulty.parquet", tmp_path / "nowhere.csv"]
+    assert to_do(paths, detector, tmp_path / "out", PLAIN) == [
+        ("faulty", "run: new"),
+        ("nowhere", "run: new"),
+    ]
+    assert not (tmp_path / "out").exists()
+    run(paths, detector, tmp_path / "out", PLAIN)
+    before = {p: p.stat().st_mtime_ns for p in (tmp_path / "out").rglob("*")}
+    assert dict(to_do(paths, detector, tmp_path / "out", PLAIN)) == {
+        "faulty": "done",
+        "nowhere": "run: it failed before",
+    }
+    assert (
+        dict(to_do(paths, detector, tmp_path / "out", replace(PLAIN, force=True)))["faulty"] == "run: forced"
+    )
+    assert {p: p.stat().st_mtime_ns for p in (tmp_path / "out").rglob("*")} == before
+
+
+def test_logs_of_earlier_calls_stay_in_the_summary(logs: Path, detector: Detector, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    run([logs / "healthy2.parquet", tmp_path / "nowhere.csv"], detector, out, PLAIN)
+    only = run([logs / "faulty.parquet"], detector, out, PLAIN)
+    assert only["log"].to_list() == ["faulty"]  # what this call was about
+    kept = pl.read_parquet(out / "summary.parquet")
+    assert kept.select("log", "status").rows() == [
+        ("faulty", "ok"),
+        ("healthy2", "ok"),
+        ("nowhere", "failed"),
+    ]
+    shutil.rmtree(out / "healthy2")
+    run([logs / "faulty.parquet"], detector, out, PLAIN)
+    assert pl.read_parquet(out / "summary.parquet")["log"].to_list() == ["faulty", "nowhere"]
+
+
+@pytest.mark.parametrize("content", [b"", b"PAR1 no more", None])
+def test_a_summary_that_cannot_be_read_is_made_anew(
+    again: tuple[list[Path], Path], detector: Detector, content: bytes | None
+) -> None:
+    paths, out = again
+    before = (out / "summary.parquet").read_bytes()
+    (out / "summary.parquet").unlink()
+    if content is not None:
+        (out / "summary.parquet").write_bytes(content)
+    assert made_again(paths, detector, out) == set()
+    assert (out / "summary.parquet").read_bytes() == before
