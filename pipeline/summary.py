@@ -26,7 +26,7 @@ SUMMARY_SCHEMA = {
     "mil": pl.Boolean,
 }  # fmt: skip
 SUMMARY, FLEET, VEHICLES = "summary", "fleet", "vehicles.json"
-FEW = 1000  # rows that are written after each log; of more, the writing takes a twentieth of the time
+FEW = 200  # rows that are written after each log; of more, the writing takes a twentieth of the time
 SHARE = 20.0
 
 
