@@ -12,10 +12,12 @@ import polars as pl
 import pytest
 
 from ingest import read_log, write_log
+from ingest.blocks import rows
 from ingest.errors import StoreError
+from ingest.recording import recording
 from ingest.simulators.faults import Fault
 from ingest.simulators.throttle import simulate_throttle
-from pipeline import load_recipe
+from pipeline import load_recipe, run
 from pipeline.cli import main
 from pipeline.detector import unfitted_detector
 from pipeline.outputs import ANNOTATED, SIGNALS
@@ -122,3 +124,25 @@ def test_a_table_without_time_is_run_at_a_rate_and_hashed_once(
     assert pl.read_parquet(tmp_path / "out" / "bare" / "samples.parquet").height == 2
     assert main([*words, "--dbc", str(tmp_path / "lost.dbc")]) == 2
     assert "lost.dbc: there is no such file" in capsys.readouterr().err
+
+
+def test_in_parts_it_says_the_same(out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Windows and the corrected signal of a log that is too large for memory, 1500 rows at a time."""
+    monkeypatch.setattr("pipeline.task.WHOLE_BYTES", 0)
+    log = read_log(out.parent / "weak.parquet")
+    with recording(tmp_path / "weak.parquet", log) as recorder:
+        for part in rows(log, 1500):
+            recorder.add(part)
+        recorder.finish(log, {})
+    run([tmp_path / "weak.parquet"], unfitted_detector(load_recipe("throttle")), tmp_path / "out")
+    folder = tmp_path / "out" / "weak"
+    for file in ("samples.parquet", SIGNALS):
+        one, other = pl.read_parquet(folder / file), pl.read_parquet(out / "weak" / file)
+        assert one.schema == other.schema
+        for c in one.columns:
+            x, y = (f[c].cast(pl.Float64).fill_null(np.nan).to_numpy() for f in (one, other))
+            np.testing.assert_allclose(x, y, rtol=1e-4, atol=1e-6, err_msg=c)
+    found, known = read_log(folder / ANNOTATED), read_log(out / "weak" / ANNOTATED)
+    assert list(found.signals) == list(known.signals)
+    corrected = "theta_ang.corrected"
+    np.testing.assert_allclose(found.values(corrected), known.values(corrected), rtol=1e-4)
