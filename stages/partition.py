@@ -132,7 +132,7 @@ def _local_error(S: Array, y: Array, weight: Array) -> tuple[float, float]:
 
 def _organise(nodes: Array, S: Array, y: Array, weight: Array, epochs: int) -> Partition:
     """The batch updates (4.5) with a neighbourhood that narrows to nothing, then the edges."""
-    partition = Partition(nodes, _edges(nodes, S))
+    partition = Partition(nodes, edges(nodes, S))
     for k in range(epochs if len(nodes) > 1 else 0):
         unit = partition.assign(S)
         count = np.bincount(unit, weight, minlength=len(nodes))
@@ -145,11 +145,11 @@ def _organise(nodes: Array, S: Array, y: Array, weight: Array, epochs: int) -> P
         h = np.exp(-(partition.distances() ** 2) / (2 * sigma**2))
         goal = (h @ total) / np.maximum(h @ count, 1e-9)[:, None]
         moved = np.where((h @ count > 0)[:, None], zeta[:, None] * (goal - partition.nodes), 0.0)
-        partition = Partition(partition.nodes + moved, _edges(partition.nodes + moved, S))
+        partition = Partition(partition.nodes + moved, edges(partition.nodes + moved, S))
     return partition
 
 
-def _edges(nodes: Array, S: Array) -> NDArray[np.int64]:
+def edges(nodes: Array, S: Array) -> NDArray[np.int64]:
     """Pairs that are first and second nearest to at least 1 % of a node's samples, and a spanning tree."""
     M = len(nodes)
     if M == 1:

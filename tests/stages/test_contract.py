@@ -38,7 +38,7 @@ CHAIN: dict[str, Stage] = {
     "normalise": Normalise(columns=("a", "b")),
     "select_inputs": SelectInputs(targets={"f": Target(output="y", inputs=("a", "b"), fixed=("a",))}),
     "relations": Relations(
-        relations={"f": Relation(output="y", inputs=("a", "b"), nodes=6)}, regime="f", map=("a", "b")
+        relations={"f": Relation(output="y", inputs=("a",), nodes=6)}, regime="f", map=("a", "b")
     ),
     "residuals": Residuals(residuals={"r": "y - f", "q": "y / f - 1"}),
     "isolate": Isolate(

@@ -6,9 +6,10 @@ import numpy as np
 import polars as pl
 import pytest
 
-from ingest.errors import RecipeError
+from ingest.errors import LogError, RecipeError
 from ingest.log import Group, Log
 from ingest.simulators.examples import STRUCTURES, simulate_example
+from stages.relations import Relation, Relations
 from stages.select_inputs import SelectInputs, Target
 from stages.stage import ANALYSIS, columns, cut, run_stages, transform
 
@@ -57,6 +58,19 @@ def test_training_logs_are_not_joined(fitted: SelectInputs) -> None:
     assert SelectInputs(targets={"f_y": TARGET}).fit([block(601, 800), block(603, 800)]).chosen("f_y") == TRUE
 
 
+def test_relations_take_what_was_selected(fitted: SelectInputs) -> None:
+    model = Relations(
+        relations={"f_y": Relation(output="y", curved=True)}, regime="f_y", map=("u1", "y")
+    ).fit([transform([fitted], block())], [[fitted]])
+    assert model.inputs("f_y") == TRUE
+    out = columns(transform([fitted, model], block(602, 2000)))
+    error = (out["y"] - out["f_y"])[6:]
+    assert error.std() < 1.04 * 0.05
+    refitted = model.refit([transform([fitted], block(604))])
+    assert refitted.inputs("f_y") == TRUE
+    np.testing.assert_array_equal(refitted.learned["f_y/metric"], model.learned["f_y/metric"])
+
+
 def test_columns_as_they_are() -> None:
     """Among present values; a candidate that says nothing is left out, a fixed one stays."""
     rng = np.random.default_rng(0)
@@ -81,6 +95,9 @@ def test_nothing_to_select_is_said() -> None:
     log = Log("noise", {ANALYSIS: Group(ANALYSIS, frame)})
     stage = SelectInputs(targets={"f": Target(output="y", inputs=("a",))}).fit([log])
     assert stage.chosen("f") == ()
+    relations = Relations(relations={"f": Relation(output="y")}, regime="f", map=("y", "a"))
+    with pytest.raises(LogError, match="has no inputs"):
+        relations.fit([log], [[stage]])
 
 
 def test_a_fault_cannot_be_undone_in_lags(fitted: SelectInputs) -> None:
