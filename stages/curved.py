@@ -1,8 +1,8 @@
 """Curved: a map whose regions are small where a relation is curved.
 
 The metric T and the number of regions are those of the smoothly blended model of most evidence
-(:mod:`stages.blended`). A GSMMS (:mod:`stages.gsmms`) on ``s T`` has the same local affine models as one on s,
-with regions and blending that follow the curvature; its prior, too, then holds slopes together where they
+(:mod:`stages.blended`). A GSMMS (:mod:`stages.gsmms`) on ``s T`` has the same local affine models as one on
+s, with regions and blending that follow the curvature; its prior, too, then holds slopes together where they
 do not change.
 """
 
