@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from stages.genes import Structure
 
 Array = NDArray[np.float64]
+Noise = Callable[[np.random.Generator, int], Array]
 SETTLE = 200
 
 
@@ -33,9 +34,7 @@ class System:
             {"y": self.na}, dict(zip(names, self.nb, strict=True)), dict(zip(names, self.nk, strict=True))
         )
 
-    def simulate(
-        self, n: int, seed: int, noise: Callable[[np.random.Generator, int], Array] | None = None
-    ) -> dict[str, Array]:
+    def simulate(self, n: int, seed: int, noise: Noise | None = None) -> dict[str, Array]:
         """Columns ``y u1 u2 ..``, shape (n,)."""
         rng = np.random.default_rng([seed, 77])
         u = rng.uniform(-self.reach, self.reach, size=(n + SETTLE, len(self.nb)))

@@ -10,6 +10,7 @@ which regressors it has. One rule serves linear and strongly nonlinear systems, 
    ones are scored in full. Again, until nothing is better.
 3. The table of a partition in the gene's own regressors, in its metric, in 8 and 32 regions; if that shows a
    better gene, back to 2.
+4. If others are close, the best genes once more with more effort.
 
 The result is locally optimal. Every score is kept, so that none is computed twice.
 """
@@ -40,6 +41,7 @@ BEST = 3  # genes taken from each table
 PROMISING = 4  # genes of a check that are scored in full
 SCREENED = 4  # level of centres at most at which genes are compared before they are scored in full
 SLACK = 0.02  # per row, by which a gene may then be worse
+RIVALS = 3  # genes compared with more effort in the end
 ROUNDS = 20
 
 
@@ -84,10 +86,13 @@ class Scorer:
             return
         rows = [self.space.columns(whole).index(c) for c in columns]
         X = self.regressors(gene)
-        refined = fit_blended(X, np.ascontiguousarray(self.y), start=replace(model, T=model.T[rows]))
-        score = refined.S + self.price * len(columns)
+        self.offer(gene, fit_blended(X, np.ascontiguousarray(self.y), start=replace(model, T=model.T[rows])))
+
+    def offer(self, gene: int, model: Blended) -> None:
+        """Take a model of a gene's regressors if it is the best so far."""
+        score = model.S + self.price * len(self.space.columns(gene))
         if gene not in self.scores or score < self.scores[gene]:
-            self.scores[gene], self.models[gene] = score, refined
+            self.scores[gene], self.models[gene] = score, model
 
     def best(self) -> int:
         return min(self.scores, key=lambda g: self.scores[g])
@@ -131,7 +136,20 @@ def descend(space: Space, rows: Array, start: Sequence[int] = ()) -> Scorer:
         scorer.race(tables, _level(model), gene)
         if scorer.best() == gene:
             break
+    _duel(scorer)
     return scorer
+
+
+def _duel(scorer: Scorer) -> None:
+    """The best genes again with more effort, where they are close: a model that is caught in a worse metric
+    must not decide."""
+    limit = scorer.scores[scorer.best()] + SLACK * len(scorer.rows)
+    ranked = sorted(scorer.scores, key=lambda g: scorer.scores[g])[:RIVALS]
+    close = [g for g in ranked if scorer.scores[g] < limit and scorer.models[g]]
+    for gene in close if len(close) > 1 else ():
+        X = scorer.regressors(gene)
+        model = fit_blended(X, np.ascontiguousarray(scorer.y), passes=4, factors=(1.0, 1.4))
+        scorer.offer(gene, model)
 
 
 def _level(model: Blended) -> int:
