@@ -21,6 +21,7 @@ from pipeline.digest import arrays_sha256, digest
 from pipeline.files import write_aside
 from pipeline.recipe import Recipe, build_recipe
 from pipeline.template import bound, with_signals
+from stages.narx import COMBINATIONS, Narx
 from stages.select_inputs import SelectInputs
 from stages.stage import Learner, Stage, connected
 
@@ -75,6 +76,8 @@ def new_detector(
     }
     if selected := _selected(draft.stages):
         content["selected"] = selected
+    if compared := _compared(draft.stages):
+        content["held_out_rms"] = compared
     created = datetime.now(UTC).isoformat(timespec="seconds")
     return replace(
         draft, record={"key": digest(content), **content, "notes": list(notes), "created": created}
@@ -85,6 +88,16 @@ def _selected(stages: Sequence[Stage]) -> dict[str, list[str]]:
     """The regressors that were selected, by relation."""
     learned = [stage for stage in stages if isinstance(stage, SelectInputs) and stage.learned]
     return {name: list(stage.chosen(name)) for stage in learned for name in stage.targets}
+
+
+def _compared(stages: Sequence[Stage]) -> dict[str, dict[str, float]]:
+    """What each combination of local models leaves on held-out rows, by model."""
+    learned = [stage for stage in stages if isinstance(stage, Narx) and stage.learned]
+    return {
+        name: dict(zip(COMBINATIONS, stage.learned[f"{name}/held_out"].tolist(), strict=True))
+        for stage in learned
+        for name in stage.models
+    }
 
 
 def unfitted_detector(recipe: Recipe) -> Detector:

@@ -13,6 +13,7 @@ from pipeline.detector import Detector
 from stages.gate import GATE
 from stages.isolate import Isolate
 from stages.monitor import INDICATOR, NOISE, SIGNALS
+from stages.narx import Narx
 from stages.relations import IN_DOMAIN, REGIME, Relations
 from stages.residuals import MODEL_SD, RESIDUAL, SIGMA, Z
 from stages.results import (
@@ -82,9 +83,10 @@ def _label(block: Log, name: str) -> str:
 
 
 def _operating_map(detector: Detector, block: Log) -> OperatingMap | None:
-    relations = next((s for s in detector.stages if isinstance(s, Relations)), None)
+    relations = next((s for s in detector.stages if isinstance(s, Relations | Narx)), None)
     if relations is None:
         return None
+    models = relations.fitted if isinstance(relations, Narx) else relations.models
     x, y = relations.map
     learned, frame = relations.learned, block.groups[ANALYSIS].frame
 
@@ -93,6 +95,6 @@ def _operating_map(detector: Detector, block: Log) -> OperatingMap | None:
 
     return OperatingMap(
         x_label=_label(block, x), y_label=_label(block, y), x=values(x), y=values(y),
-        nodes=learned["map/nodes"], edges=relations.models[relations.regime].partition.edges,
+        nodes=learned["map/nodes"], edges=models[relations.regime].partition.edges,
         visits=learned["map/visits"], spread=learned["map/spread"],
     )  # fmt: skip

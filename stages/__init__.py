@@ -10,6 +10,7 @@ STAGES = {
     "gate": "stages.gate:Gate",
     "normalise": "stages.normalise:Normalise",
     "select_inputs": "stages.select_inputs:SelectInputs",
+    "narx": "stages.narx:Narx",
     "relations": "stages.relations:Relations",
     "residuals": "stages.residuals:Residuals",
     "isolate": "stages.isolate:Isolate",

@@ -9,7 +9,7 @@ which regressors it has. One rule serves linear and strongly nonlinear systems, 
 2. Every other value of each variable's part of the best gene, at its number of centres; the most promising
    ones are scored in full. Again, until nothing is better.
 3. The table of a partition in the gene's own regressors, in its metric, in 8 and 32 regions; if that shows a
-   better gene, back to 2.
+   better gene, back to 2. So too if the two candidates whose product explains most of what is left help.
 4. If others are close, the best genes once more with more effort.
 
 The result is locally optimal. Every score is kept, so that none is computed twice.
@@ -41,6 +41,7 @@ BEST = 3  # genes taken from each table
 PROMISING = 4  # genes of a check that are scored in full
 SCREENED = 4  # level of centres at most at which genes are compared before they are scored in full
 SLACK = 0.02  # per row, by which a gene may then be worse
+PAIRS = 4  # products of candidates that are tried
 RIVALS = 3  # genes compared with more effort in the end
 ROUNDS = 20
 
@@ -129,15 +130,43 @@ def descend(space: Space, rows: Array, start: Sequence[int] = ()) -> Scorer:
         gene = scorer.best()
         model = scorer.models[gene]
         if model is None:
-            break
+            scorer.race(_products(scorer, gene, None), 0)
+            if scorer.best() == gene:
+                break
+            continue
         XT = scorer.regressors(gene) @ model.T
         own = nested_centres(XT, max(OWN_TABLES))
         tables = [g for level in OWN_TABLES for g in _table(space, rows, XT, own, level)]
         scorer.race(tables, _level(model), gene)
+        scorer.race(_products(scorer, gene, model), _level(model), gene)
         if scorer.best() == gene:
             break
     _duel(scorer)
     return scorer
+
+
+def _products(scorer: Scorer, gene: int, model: Blended | None) -> list[int]:
+    """The gene with the two candidates whose product explains most of what its model leaves, for the best
+    few: regressors that say nothing alone are found together."""
+    left = scorer.y if model is None else scorer.y - model.predict(scorer.regressors(gene))
+    X = scorer.rows[:, :-1]
+    share = np.abs((X * left[:, None]).T @ X)
+    mine = scorer.space.columns(gene)
+    share[np.ix_(mine, mine)] = 0.0
+    pairs = np.argsort(np.triu(share), axis=None)[::-1][:PAIRS]
+    found = [_extended(scorer.space, gene, divmod(int(p), X.shape[1])) for p in pairs]
+    return [g for g in found if g is not None]
+
+
+def _extended(space: Space, gene: int, more: Iterable[int]) -> int | None:
+    """The smallest gene that also has the candidates ``more``, None where the bounds do not allow it."""
+    wanted, options = {*space.columns(gene), *more}, []
+    for block in space.blocks:
+        fits = [o for o in range(block.options) if wanted & {*block.all_columns} <= {*block.columns(o)}]
+        if not fits:
+            return None
+        options.append(min(fits, key=lambda o: len(block.columns(o))))
+    return space.gene(options)
 
 
 def _duel(scorer: Scorer) -> None:

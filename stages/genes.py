@@ -40,6 +40,11 @@ class Block:
     def options(self) -> int:
         return self.chains * self.length + (not self.fixed)
 
+    @property
+    def all_columns(self) -> range:
+        """Every candidate of the variable."""
+        return range(self.first, self.first + self.chains + self.length - 1)
+
     def columns(self, option: int) -> range:
         """The candidates of an option; options count chain by chain, after that of none."""
         chain, count = self.chosen(option)

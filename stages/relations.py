@@ -21,15 +21,12 @@ from numpy.typing import NDArray
 
 from ingest.errors import LogError, RecipeError, did_you_mean
 from ingest.log import Log
-from stages.curved import curved_map
 from stages.gate import GATE
 from stages.gsmms import Combination, Gsmms, fit_gsmms
 from stages.normalise import SUFFIX
-from stages.partition import Growth
-from stages.select_inputs import SelectInputs
+from stages.partition import Growth, Partition
 from stages.stage import Arrays, Stage, add_columns, columns
 
-Array = NDArray[np.float64]
 REGIME, IN_DOMAIN, NOVELTY, SD = "regime", "in_domain", ".novelty", ".sd"
 
 
@@ -41,55 +38,46 @@ def familiarity(novelty: NDArray[np.float64], known_to: float) -> NDArray[np.flo
 
 @dataclass(frozen=True, kw_only=True)
 class Relation:
-    """``output`` as a function of ``inputs`` (columns; their normalised copies are the regressors), and of
-    those that a stage `select_inputs` selects for it. ``curved`` regions follow the relation's curvature
-    (:mod:`stages.curved`)."""
+    """``output`` as a function of ``inputs`` (columns; their normalised copies are the regressors)."""
 
     output: str
-    inputs: tuple[str, ...] = ()
+    inputs: tuple[str, ...]
     unit: str = ""
     nodes: int = 16
     samples_per_parameter: float = 6.0
     max_error: float = 0.0
     combination: Combination = "blended"
-    curved: bool = False
     neighbourhood: float = 0.4
 
     def __post_init__(self) -> None:
-        if self.nodes < 1 or self.samples_per_parameter <= 0:
+        if self.nodes < 1 or self.samples_per_parameter <= 0 or not self.inputs:
             raise RecipeError(
-                f"relation {self.output!r}: needs nodes >= 1 and samples_per_parameter > 0; got "
-                f"nodes = {self.nodes}, samples_per_parameter = {self.samples_per_parameter}"
+                f"relation {self.output!r}: needs inputs, nodes >= 1 and samples_per_parameter > 0; got "
+                f"inputs = {list(self.inputs)}, nodes = {self.nodes}, "
+                f"samples_per_parameter = {self.samples_per_parameter}"
             )
 
-    def fit(self, S: Array, y: Array, weight: Array, like: Fitted | None = None) -> Fitted:
-        """Fitted to regressors ``S`` (N, d); ``like``: a model whose regions are kept."""
-        T, partition = (None, None) if like is None else (like.T, like.model.partition)
-        if like is None and self.curved:
-            known = np.isfinite(S).all(axis=1) & np.isfinite(y) & (weight > 0)
-            if known.sum() >= 3 * (S.shape[1] + 1):  # else what follows says that there are too few
-                T, partition = curved_map(S[known], y[known], weight[known])
+    def fit(
+        self,
+        values: Mapping[str, NDArray[np.float64]],
+        weight: NDArray[np.float64],
+        partition: Partition | None = None,
+    ) -> Gsmms:
         growth = Growth(
             nodes=self.nodes, samples_per_parameter=self.samples_per_parameter, max_error=self.max_error
         )
-        model = fit_gsmms(
-            S if T is None else S @ T,
-            y,
+        return fit_gsmms(
+            self.regressors(values),
+            values[self.output],
             weight,
             growth=growth,
             combination=self.combination,
             neighbourhood=self.neighbourhood,
             partition=partition,
         )
-        return Fitted(model, T)
 
-
-@dataclass(frozen=True, eq=False)
-class Fitted:
-    """A relation's model, and the metric T that its regressors are multiplied with (None: the identity)."""
-
-    model: Gsmms
-    T: Array | None
+    def regressors(self, values: Mapping[str, NDArray[np.float64]]) -> NDArray[np.float64]:
+        return np.column_stack([values[n + SUFFIX] for n in self.inputs])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,7 +90,7 @@ class Relations:
         LogError: the training logs hold too few complete samples.
     """
 
-    version: ClassVar[str] = "2"
+    version: ClassVar[str] = "1"
     learns_from: ClassVar[Literal["training"]] = "training"
     relations: Mapping[str, Relation]
     regime: str
@@ -114,17 +102,6 @@ class Relations:
         if self.regime not in self.relations:
             hint = did_you_mean(self.regime, self.relations)
             raise RecipeError(f"relations: regime = {self.regime!r} is not a relation; {hint}")
-
-    def inputs(self, name: str) -> tuple[str, ...]:
-        """What a relation depends on: the recipe's inputs, then the selected ones."""
-        if not self.learned:
-            raise RecipeError("relations: nothing learned yet; fit it first")
-        return tuple(str(n) for n in self.learned[f"{name}/inputs"])
-
-    def regressors(self, name: str, values: Mapping[str, Array]) -> Array:
-        """What a relation's model takes, shape (N, d)."""
-        S = np.column_stack([values[n + SUFFIX] for n in self.inputs(name)])
-        return S @ self.learned[f"{name}/metric"] if f"{name}/metric" in self.learned else S
 
     @cached_property
     def models(self) -> dict[str, Gsmms]:
@@ -139,55 +116,36 @@ class Relations:
         }
 
     def fit(self, blocks: Sequence[Log], before: Sequence[Sequence[Stage]] = (), /) -> Self:
-        inputs = {name: list(relation.inputs) for name, relation in self.relations.items()}
-        for stage in before[0] if before else ():
-            if isinstance(stage, SelectInputs):
-                for name in inputs.keys() & stage.targets.keys():
-                    inputs[name] += [n for n in stage.chosen(name) if n not in inputs[name]]
-        return self._fit(blocks, inputs, {})
+        return self._fit(blocks, {})
 
     def refit(self, blocks: Sequence[Log], /) -> Self:
-        like = {name: Fitted(m, self.learned.get(f"{name}/metric")) for name, m in self.models.items()}
-        return self._fit(blocks, {name: self.inputs(name) for name in self.relations}, like)
+        return self._fit(blocks, {name: model.partition for name, model in self.models.items()})
 
-    def _fit(
-        self, blocks: Sequence[Log], inputs: Mapping[str, Sequence[str]], like: Mapping[str, Fitted]
-    ) -> Self:
+    def _fit(self, blocks: Sequence[Log], partitions: Mapping[str, Partition]) -> Self:
         parts = [columns(b) for b in blocks]
         values = {n: np.concatenate([p[n] for p in parts]) for n in parts[0]}
         weight = values.get(GATE, np.ones(len(values[self.map[0]])))
         learned: dict[str, NDArray[Any]] = {}
         for name, relation in self.relations.items():
-            if not inputs[name]:
-                raise LogError(
-                    f"relation {name!r} has no inputs: the recipe gives none and none was selected, as "
-                    f"nothing explains {relation.output!r} in the training logs"
-                )
-            S = np.column_stack([values[n + SUFFIX] for n in inputs[name]])
             try:
-                fitted = relation.fit(S, values[relation.output], weight, like.get(name))
+                model = relation.fit(values, weight, partitions.get(name))
             except LogError as error:
                 raise LogError(f"relation {name!r}: {error}") from None
-            learned |= {f"{name}/{k}": v for k, v in fitted.model.to_arrays().items()}
-            learned[f"{name}/inputs"] = np.array(inputs[name], dtype="U")
-            if fitted.T is not None:
-                learned[f"{name}/metric"] = fitted.T
-        whole = replace(self, learned=learned)
-        S, y = whole.regressors(self.regime, values), values[self.relations[self.regime].output]
-        return replace(
-            self, learned=learned | self._describe(whole.models[self.regime], S, y, values, weight)
-        )
+            learned |= {f"{name}/{k}": v for k, v in model.to_arrays().items()}
+            if name == self.regime:
+                learned |= self._describe(model, relation, values, weight)
+        return replace(self, learned=learned)
 
     def _describe(
         self,
         model: Gsmms,
-        S: Array,
-        y: Array,
-        values: Mapping[str, Array],
-        weight: Array,
+        relation: Relation,
+        values: Mapping[str, NDArray[np.float64]],
+        weight: NDArray[np.float64],
     ) -> dict[str, NDArray[np.float64]]:
         """Per region: centre in the plane of ``map``, training samples, root mean square error."""
-        unit, error = model.partition.assign(S), y - model.predict(S)
+        S = relation.regressors(values)
+        unit, error = model.partition.assign(S), values[relation.output] - model.predict(S)
         known = (unit >= 0) & np.isfinite(error)
         M = len(model.theta)
 
@@ -221,7 +179,7 @@ class Relations:
 
     def compute(self, values: Mapping[str, NDArray[np.float64]]) -> dict[str, NDArray[Any]]:
         added: dict[str, NDArray[Any]] = {}
-        inputs = {name: self.regressors(name, values) for name in self.relations}
+        inputs = {name: relation.regressors(values) for name, relation in self.relations.items()}
         regime = self.models[self.regime]
         everywhere = regime.novelty(inputs[self.regime])
         largest = everywhere

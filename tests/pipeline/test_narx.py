@@ -15,7 +15,7 @@ from ingest.simulators.examples import simulate_example
 from pipeline import diagnose, fit, load_recipe
 from pipeline.detector import Detector, check_recipe, load_detector, save_detector
 from pipeline.template import bound, filled, with_signals
-from stages.relations import Relations
+from stages.narx import Narx
 
 
 def renamed(log: Log, names: dict[str, str]) -> Log:
@@ -79,9 +79,11 @@ def test_residuals_are_as_small_as_the_noise(detector: Detector) -> None:
 
 
 def test_the_record_has_the_chosen_regressors(detector: Detector) -> None:
-    relations = next(s for s in detector.stages if isinstance(s, Relations))
-    assert relations.inputs("f_y1") == ("y1(t-1)", "y2(t-1)", "u1(t-1)", "u1(t-2)", "u2(t-2)")
+    model = next(s for s in detector.stages if isinstance(s, Narx))
+    assert model.inputs("f_y1") == ("y1(t-1)", "y2(t-1)", "u1(t-1)", "u1(t-2)", "u2(t-2)")
     assert detector.record["selected"]["f_y2"] == ["y2(t-1)", "y2(t-2)", "u1(t-1)", "u2(t-1)", "u2(t-2)"]
+    left = detector.record["held_out_rms"]["f_y1"]
+    assert 0.08 < left["blended"] < left["hard"] < 0.13
 
 
 def test_a_detector_goes_with_its_template_only(detector: Detector, tmp_path: Path) -> None:

@@ -21,6 +21,7 @@ from stages.gate import Gate
 from stages.hypotheses import Hypothesis
 from stages.isolate import Isolate
 from stages.monitor import Monitor
+from stages.narx import Narx
 from stages.normalise import Normalise
 from stages.regressors import Regressors
 from stages.relations import Relation, Relations
@@ -36,9 +37,10 @@ CHAIN: dict[str, Stage] = {
     "regressors": Regressors(columns={"ab": "a * b", "two": "2"}),
     "gate": Gate(rate_per_s={"b": 0.5}),
     "normalise": Normalise(columns=("a", "b")),
-    "select_inputs": SelectInputs(targets={"f": Target(output="y", inputs=("a", "b"), fixed=("a",))}),
+    "select_inputs": SelectInputs(targets={"n": Target(output="y", inputs=("a", "b"), fixed=("a",))}),
+    "narx": Narx(models={"n": "y"}, regime="n", map=("a", "b")),
     "relations": Relations(
-        relations={"f": Relation(output="y", inputs=("a",), nodes=6)}, regime="f", map=("a", "b")
+        relations={"f": Relation(output="y", inputs=("a", "b"), nodes=6)}, regime="f", map=("a", "b")
     ),
     "residuals": Residuals(residuals={"r": "y - f", "q": "y / f - 1"}),
     "isolate": Isolate(

@@ -9,7 +9,7 @@ import pytest
 from ingest.errors import LogError, RecipeError
 from ingest.log import Group, Log
 from ingest.simulators.examples import STRUCTURES, simulate_example
-from stages.relations import Relation, Relations
+from stages.narx import COMBINATIONS, Narx
 from stages.select_inputs import SelectInputs, Target
 from stages.stage import ANALYSIS, columns, cut, run_stages, transform
 
@@ -58,17 +58,19 @@ def test_training_logs_are_not_joined(fitted: SelectInputs) -> None:
     assert SelectInputs(targets={"f_y": TARGET}).fit([block(601, 800), block(603, 800)]).chosen("f_y") == TRUE
 
 
-def test_relations_take_what_was_selected(fitted: SelectInputs) -> None:
-    model = Relations(
-        relations={"f_y": Relation(output="y", curved=True)}, regime="f_y", map=("u1", "y")
-    ).fit([transform([fitted], block())], [[fitted]])
+def test_a_model_takes_what_was_selected(fitted: SelectInputs) -> None:
+    narx = Narx(models={"f_y": "y"}, regime="f_y", map=("u1", "y"))
+    model = narx.fit([transform([fitted], block())], [[fitted]])
     assert model.inputs("f_y") == TRUE
     out = columns(transform([fitted, model], block(602, 2000)))
     error = (out["y"] - out["f_y"])[6:]
     assert error.std() < 1.04 * 0.05
+    blended, hard = (model.learned["f_y/held_out"][COMBINATIONS.index(c)] for c in ("blended", "hard"))
+    assert blended < hard
     refitted = model.refit([transform([fitted], block(604))])
     assert refitted.inputs("f_y") == TRUE
     np.testing.assert_array_equal(refitted.learned["f_y/metric"], model.learned["f_y/metric"])
+    assert not np.array_equal(refitted.learned["f_y/theta"], model.learned["f_y/theta"])
 
 
 def test_columns_as_they_are() -> None:
@@ -95,9 +97,8 @@ def test_nothing_to_select_is_said() -> None:
     log = Log("noise", {ANALYSIS: Group(ANALYSIS, frame)})
     stage = SelectInputs(targets={"f": Target(output="y", inputs=("a",))}).fit([log])
     assert stage.chosen("f") == ()
-    relations = Relations(relations={"f": Relation(output="y")}, regime="f", map=("y", "a"))
     with pytest.raises(LogError, match="has no inputs"):
-        relations.fit([log], [[stage]])
+        Narx(models={"f": "y"}, regime="f", map=("y", "a")).fit([log], [[stage]])
 
 
 def test_a_fault_cannot_be_undone_in_lags(fitted: SelectInputs) -> None:
