@@ -55,8 +55,8 @@ def _one(case: Case, n: int, first: bool) -> bool:
         total = searched - clock
         show(
             5, f"{n:.0e} rows: everything, {len(nodes)} regions",
-            f"{total:.2f} s (rule {chosen - clock:.2f}, final fit {done - chosen:.2f}, "
-            f"map {mapped - done:.2f}, pass {passed - mapped:.2f}, {case.space.size} genes {searched - passed:.2f})",
+            f"{total:.2f} s: rule {chosen - clock:.2f}, final fit {done - chosen:.2f}, "
+            f"map {mapped - done:.2f}, pass {passed - mapped:.2f}, search {searched - passed:.2f}",
             "< 6 s", total < 6,
         )  # fmt: skip
         added = _memory_mb() - before

@@ -130,7 +130,7 @@ def descend(space: Space, rows: Array, start: Sequence[int] = ()) -> Scorer:
         gene = scorer.best()
         model = scorer.models[gene]
         if model is None:
-            scorer.race(_products(scorer, gene, None), 0)
+            scorer.race(_products(scorer, gene, None), SCREENED)
             if scorer.best() == gene:
                 break
             continue
@@ -138,7 +138,7 @@ def descend(space: Space, rows: Array, start: Sequence[int] = ()) -> Scorer:
         own = nested_centres(XT, max(OWN_TABLES))
         tables = [g for level in OWN_TABLES for g in _table(space, rows, XT, own, level)]
         scorer.race(tables, _level(model), gene)
-        scorer.race(_products(scorer, gene, model), _level(model), gene)
+        scorer.race(_products(scorer, gene, model), SCREENED, gene)
         if scorer.best() == gene:
             break
     _duel(scorer)
