@@ -105,9 +105,9 @@ class Group:
             raise LogError(f"group {self.name!r} has no {TIME!r} column; it has {frame.columns}")
         order = [TIME, *(c for c in frame.columns if c != TIME)]
         schema = frame.schema
-        floats = [c for c in order[1:] if schema[c].is_float()]
+        nans = frame.select(pl.col(c).is_nan().any() for c in order[1:] if schema[c].is_float())
         frame = frame.select(order).with_columns(
-            pl.col(TIME).cast(pl.Float64), *(_missing(c) for c in floats)
+            pl.col(TIME).cast(pl.Float64), *(_missing(s.name) for s in nans if s.any())
         )
         bad = frame[TIME].is_null() | frame[TIME].is_nan()
         if bad.any():

@@ -18,6 +18,7 @@ from ingest.errors import LogError
 from ingest.log import TIME
 from ingest.maps import TimeMap
 from ingest.numbers import numbers, strip
+from ingest.text import Untouched
 
 _LONG = 0.01  # share of rows with too many fields from which on the dialect must be wrong
 
@@ -43,13 +44,14 @@ class Table:
         unit = None if time is None else self.dialect.columns[time].unit
         self.clock = Clock(str(self.path), unit, self.wanted)
 
-    def parse(self, body: bytes) -> pl.DataFrame:
+    def parse(self, body: bytes | Untouched) -> pl.DataFrame:
         """The rows of ``body`` with their time in s; numbers as Float64, states as String.
 
         Raises:
             LogError: not readable at all.
         """
         if self.dialect.separator == " ":
+            body = body if isinstance(body, bytes) else body.text
             body = re.sub(rb"[ \t]+", b" ", body).replace(b"\n ", b"\n").replace(b" \n", b"\n").lstrip(b" ")
         frame, body = self._numbers(body)
         lines = Lines(body, frame.height)
@@ -77,19 +79,22 @@ class Table:
             self.long
         )
 
-    def _numbers(self, body: bytes) -> tuple[pl.DataFrame, bytes]:
+    def _numbers(self, body: bytes | Untouched) -> tuple[pl.DataFrame, bytes | Untouched]:
         """All columns as numbers, and the body without rows that do not fit."""
         try:
             frame = self._read(body, pl.Float64)
         except pl.exceptions.ComputeError as error:
+            body = body if isinstance(body, bytes) else body.text
             body = self._without_long_rows(body, self.rows + self.long, error)
             frame = self._read(body, pl.Float64)
         self.rows += frame.height
         return frame, body
 
-    def _read(self, body: bytes, dtype: type[pl.DataType], *only: int) -> pl.DataFrame:
+    def _read(self, body: bytes | Untouched, dtype: type[pl.DataType], *only: int) -> pl.DataFrame:
+        source, skip = (body.path, body.lines) if isinstance(body, Untouched) else (body, 0)
         return pl.read_csv(
-            body,
+            source,
+            skip_lines=skip,
             has_header=False,
             schema=dict.fromkeys(self.names, dtype),
             columns=list(only) or None,
@@ -182,10 +187,14 @@ class Table:
 
 @dataclass
 class Lines:
-    """``body`` of ``height`` rows, line by line."""
+    """A text of ``height`` rows, line by line."""
 
-    body: bytes
+    source: bytes | Untouched
     height: int
+
+    @property
+    def body(self) -> bytes:
+        return self.source if isinstance(self.source, bytes) else self.source.text
 
     @cached_property
     def _ends(self) -> NDArray[np.int64]:

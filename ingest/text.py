@@ -3,13 +3,34 @@
 from __future__ import annotations
 
 import codecs
+import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import IO
 
 _UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 _PIECE = 1 << 20  # bytes transcoded at a time
+
+
+@dataclass
+class Untouched:
+    """All of a file behind its first ``lines`` lines, which end at byte ``offset``; read only if it must be:
+    a parser does that for itself, without a copy."""
+
+    path: Path
+    lines: int
+    offset: int
+
+    @cached_property
+    def text(self) -> bytes:
+        with self.path.open("rb") as file:
+            file.seek(self.offset)
+            return _utf8(file.read())
+
+    def __len__(self) -> int:
+        return self.path.stat().st_size - self.offset
 
 
 @dataclass
@@ -58,6 +79,17 @@ class TextFile:
                 if block:
                     yield block
         self.remainder = _utf8(carry)[skip:]
+
+    def untouched(self, skip: int) -> Untouched | None:
+        """The text behind its first ``skip`` bytes, which are whole lines; None unless all the file's lines
+        are whole."""
+        offset = self._offset(skip)
+        with self.path.open("rb") as file:
+            file.seek(-min(1, self.path.stat().st_size), os.SEEK_END)
+            if offset is None or file.read() != b"\n":
+                return None
+            file.seek(0)
+            return Untouched(self.path, file.read(offset).count(b"\n"), offset)
 
     def _offset(self, skip: int) -> int | None:
         """Where in the file the text behind its first ``skip`` bytes begins, which are whole lines: behind as

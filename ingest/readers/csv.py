@@ -74,7 +74,9 @@ def blocks(path: Path, names: NameMap, size: int | None = BLOCK_BYTES) -> Iterat
     rasters: dict[str, list[str]] | None = None
     count, done = 0, start
     part: Recording | None = None
-    for body in file.blocks(start, size):
+    plain = size is None and dialect.separator != " " and not dialect.decimal_comma
+    rest = file.untouched(start) if plain else None
+    for body in file.blocks(start, size) if rest is None else [rest]:
         frame = table.parse(body)
         log = _log(path, dialect, frame, table.flags, about, _began(table), rasters)
         rasters = {k: list(g.signals) for k, g in log.groups.items()}
