@@ -99,7 +99,9 @@ class Align:
         frame = frame.with_columns(pl.col(names).fill_nan(None)).filter(
             pl.any_horizontal(pl.col(names).is_not_null())
         )
-        signals = {n: block.signals[n] for n in names}
+        absent = [n for n in self.optional if n not in series]
+        frame = frame.with_columns(pl.lit(None, pl.Float64).alias(n) for n in absent)
+        signals = {n: block.signals[n] for n in names} | {n: Signal(name=n) for n in absent}
         state = AlignState({g: self._trim(f, ready) for g, f in kept.items()}, ready)
         return state, replace(block, groups={ANALYSIS: Group(ANALYSIS, frame, signals)})
 

@@ -32,6 +32,11 @@ def leak_flow(diameter: Array, p_up: Array, T_up: Array, p_dn: Array) -> Array:
     return 1e3 * orifice_flow(area, 1e3 * p_up, T_up, 1e3 * p_dn)
 
 
+def or_else(x: Array, y: Array) -> Array:
+    """``x``, or ``y`` where it is missing."""
+    return np.where(np.isfinite(x), x, y)
+
+
 FUNCTIONS: dict[str, Callable[..., Any]] = {
     "ln": np.log,
     "exp": np.exp,
@@ -40,6 +45,7 @@ FUNCTIONS: dict[str, Callable[..., Any]] = {
     "min": np.minimum,
     "max": np.maximum,
     "leak_flow": leak_flow,
+    "or_else": or_else,
 }
 _ALLOWED = (
     ast.Expression, ast.BinOp, ast.UnaryOp, ast.Call, ast.Name, ast.Load, ast.Constant,

@@ -24,7 +24,7 @@ GATE = "gate"
 
 @dataclass(frozen=True)
 class GateState:
-    """The last sample: time and logarithms."""
+    """The last sample: time, and logarithms or values."""
 
     time: float = np.nan
     log: Mapping[str, float] = field(default_factory=dict)
@@ -32,7 +32,8 @@ class GateState:
 
 @dataclass(frozen=True, kw_only=True)
 class Gate:
-    """``rate_per_s`` maps a signal to the relative rate of change (1/s) that halves the weight.
+    """``rate_per_s`` maps a signal to the relative rate of change (1/s) that halves the weight,
+    ``change_per_s`` one to the absolute rate (its unit per s), where it is known.
 
     Raises:
         RecipeError: a rate is not positive.
@@ -40,15 +41,17 @@ class Gate:
 
     version: ClassVar[str] = "1"
     rate_per_s: Mapping[str, float]
+    change_per_s: Mapping[str, float] = field(default_factory=dict)
     within_s: float = 1.0
 
     def __post_init__(self) -> None:
-        if bad := {n: r for n, r in self.rate_per_s.items() if not r > 0}:
+        rates = {**self.rate_per_s, **self.change_per_s}
+        if bad := {n: r for n, r in rates.items() if not r > 0}:
             raise RecipeError(f"gate: rates must be positive, got {bad}")
 
     @property
     def needs(self) -> set[str]:
-        return set(self.rate_per_s)
+        return {*self.rate_per_s, *self.change_per_s}
 
     @property
     def adds(self) -> set[str]:
@@ -58,7 +61,7 @@ class Gate:
         return GateState()
 
     def step(self, state: GateState, block: Log, /) -> tuple[GateState, Log]:
-        values = columns(block, [TIME, *self.rate_per_s])
+        values = columns(block, [TIME, *self.rate_per_s, *self.change_per_s])
         time = values[TIME]
         if not time.size:
             return state, add_columns(block, {GATE: np.empty(0)})
@@ -69,5 +72,9 @@ class Gate:
             slope = np.diff(log, prepend=state.log.get(name, np.nan)) / np.minimum(dt, self.within_s)
             gate /= 1.0 + (slope / rate) ** 2
             last[name] = float(log[-1])
+        for name, rate in self.change_per_s.items():
+            slope = np.diff(values[name], prepend=state.log.get(name, np.nan)) / np.minimum(dt, self.within_s)
+            gate /= 1.0 + np.nan_to_num(slope / rate) ** 2
+            last[name] = float(values[name][-1])
         gate = np.nan_to_num(gate, nan=0.0)
         return GateState(float(time[-1]), last), add_columns(block, {GATE: gate}, {GATE: "1"})

@@ -110,6 +110,7 @@ def fit_gsmms(
     S: Array,
     y: Array,
     weight: Array | None = None,
+    own: Array | None = None,
     *,
     growth: Growth | None = None,
     combination: Combination = "blended",
@@ -117,7 +118,7 @@ def fit_gsmms(
     partition: Partition | None = None,
 ) -> Gsmms:
     """Fit ``y`` (N,) on normalised regressors ``S`` (N, d) with sample weights (N,); incomplete rows do not
-    count.
+    count. ``own`` (N,) are further weights for the parameters, not for the map and the domain.
 
     ``neighbourhood`` is sigma of (5.49) in edges of the map, for ``hard`` regions. With ``partition`` given
     no map is grown.
@@ -131,8 +132,9 @@ def fit_gsmms(
     True
     """
     weight = np.ones(len(y)) if weight is None else weight
+    own = np.ones(len(y)) if own is None else own
     known = np.isfinite(S).all(axis=1) & np.isfinite(y) & (weight > 0)
-    S, y, weight = S[known], y[known], weight[known]
+    S, y, weight, own = S[known], y[known], weight[known], (weight * own)[known]
     if len(S) < 3 * (S.shape[1] + 1):
         raise LogError(
             f"{len(S)} complete samples are too few for a model with {S.shape[1]} regressors; "
@@ -140,9 +142,9 @@ def fit_gsmms(
         )
     partition = partition or grow(S, y, weight, growth)
     if combination == "hard" or len(partition.nodes) == 1:
-        theta, root, width = *_fit_hard(partition, S, y, weight, neighbourhood), 0.0
+        theta, root, width = *_fit_hard(partition, S, y, own, neighbourhood), 0.0
     else:
-        theta, root, width = _fit_blended(partition.nodes, S, y, weight)
+        theta, root, width = _fit_blended(partition.nodes, S, y, own)
     mean, whiten, reach = _domain(partition, S, weight)
     model = Gsmms(partition, theta, root, 1.0, width, mean, whiten, reach)
     return replace(model, rms=float(np.sqrt(np.average((y - model.predict(S)) ** 2, weights=weight))))

@@ -32,7 +32,8 @@ class Hypothesis:
     log's start.
 
     ``sizes``: the grid of sizes to try, in ``unit`` (``"1"``, ``"mm"``, ``"%"``); ``signal``: the sensor
-    concerned, if one.
+    concerned, if one; ``inexact``: the part of what undoing changes in a residual that may be wrong
+    (standard deviation).
 
     Raises:
         RecipeError: no correction or no sizes, sizes that do not rise or hold 0 (that is being healthy), or a
@@ -43,6 +44,7 @@ class Hypothesis:
     sizes: tuple[float, ...]
     unit: str = "1"
     signal: str | None = None
+    inexact: float = 0.0
 
     def __post_init__(self) -> None:
         s = self.sizes
@@ -92,6 +94,11 @@ class Points:
         return 1 + sum(len(h.sizes) for h in self.hypotheses)
 
     @cached_property
+    def _inexact(self) -> Array:
+        """Of every point, shape (points,)."""
+        return np.array([0.0, *(h.inexact for h in self.hypotheses for _ in h.sizes)])
+
+    @cached_property
     def needs(self) -> set[str]:
         """Columns that the chain and the corrections read and the chain does not make."""
         needed, made = set[str](), set[str]()
@@ -113,6 +120,8 @@ class Points:
             for i, r in enumerate(self.residuals):
                 for kind, array in out.items():
                     array[rows, :, i] = computed[kind + r].reshape(H, -1).T
+                shift = out[RESIDUAL][rows, :, i] - out[RESIDUAL][rows, :1, i]
+                out[MODEL_SD][rows, :, i] = np.hypot(out[MODEL_SD][rows, :, i], self._inexact * shift)
                 far = np.nan_to_num(computed[UNFAMILIAR + r].reshape(H, -1), nan=np.inf)
                 novelty[rows, i] = far.min(axis=0)
         return out[RESIDUAL], out[SIGMA], out[MODEL_SD], novelty

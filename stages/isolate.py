@@ -41,11 +41,12 @@ from stages.gate import GATE
 from stages.hypotheses import DRIFT_PRIOR, Drift, Hypothesis, Points
 from stages.likelihood import SUMS
 from stages.relations import familiarity
-from stages.residuals import Residuals
+from stages.residuals import RESIDUAL, SIGMA, Residuals, residual_names
 from stages.results import DETECTION, EVIDENCE, PROBABILITY, SIZE, SIZE_SD, STATISTIC, UNKNOWN
 from stages.stage import ANALYSIS, Arrays, RowWise, Stage, add_columns, columns
 
 Array = NDArray[np.float64]
+MIN_RUNS = 3  # fewer do not tell what differs from run to run
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,13 +143,40 @@ class Isolate:
 
     def fit(self, blocks: Sequence[Log], before: Sequence[Sequence[Stage]] = (), /) -> Self:
         shape = (len(self.memories_s) + 1, len(self.hypotheses))
-        silent = replace(self, learned={"threshold": np.full(shape, np.inf)})
         largest = np.zeros(shape)
+        learned = {"offset_sd": self._offset_sd(blocks)}
+        silent = replace(self, learned={"threshold": np.full(shape, np.inf), **learned})
         for block, passed in zip(blocks, before, strict=True):
             stage = silent.connect(passed)
             largest = np.maximum(largest, stage.step(stage.start(), block)[0].memory.largest)
         least = np.append(np.full(len(self.memories_s), self.min_threshold), self.min_step_threshold)
-        return replace(self, learned={"threshold": np.maximum(largest + self.margin, least[:, None])})
+        threshold = np.maximum(largest + self.margin, least[:, None])
+        return replace(self, learned={"threshold": threshold, **learned})
+
+    def _offset_sd(self, blocks: Sequence[Log]) -> Array:
+        """Standard deviation of each residual's plain offset: that of the calibration logs over the longest
+        memory but one, less what noise gives it, and the recipe's, counting as one log; the recipe's alone if
+        there are fewer than ``MIN_RUNS`` logs."""
+        given = np.array([self.offsets.get(r, {}).get("1", 0.0) for r in self._judged(blocks)])
+        if len({block.name for block in blocks}) < MIN_RUNS:
+            return given
+        square = given**2
+        for block in blocks:
+            values = columns(block)
+            time = values[TIME]
+            part = ((time - time[0]) // self.memories_s[-2]).astype(int)
+            samples = max(1.0, self.correlation_s / float(np.median(np.diff(time))))
+            for i, r in enumerate(self._judged(blocks)):
+                e, sigma = np.nan_to_num(values[RESIDUAL + r]), values[SIGMA + r]
+                weight = np.where(np.isfinite(values[RESIDUAL + r]), 1 / sigma**2, 0.0)
+                S0 = np.maximum(np.bincount(part, weight), 1e-12)
+                excess = (np.bincount(part, weight * e) / S0) ** 2 - samples / S0
+                square[i] += max(float(np.average(excess, weights=S0)), 0.0)
+        return np.sqrt(square / (len(blocks) + 1))
+
+    def _judged(self, blocks: Sequence[Log]) -> list[str]:
+        known = residual_names(blocks[0])
+        return [r for r in known if r in self.residuals] if self.residuals else known
 
     def refit(self, blocks: Sequence[Log], /) -> Self:
         return self
@@ -247,8 +275,10 @@ class Isolate:
         """Standard deviations of the offsets, shape (residuals, 2)."""
         sd = np.zeros((len(self.points.residuals), 2))
         for i, r in enumerate(self.points.residuals):
-            given = list(self.offsets.get(r, {}).values())
-            sd[i, : len(given)] = given
+            given = self.offsets.get(r, {})
+            sd[i, : len(given)] = list(given.values())
+            if next(iter(given), None) == "1":
+                sd[i, 0] = self.learned["offset_sd"][i]
         return sd
 
     @cached_property

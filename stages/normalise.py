@@ -23,7 +23,8 @@ SUFFIX = ".norm"
 @dataclass(frozen=True, kw_only=True)
 class Normalise:
     """``lo`` and ``hi`` of each of ``columns``; ``tail`` is the share of samples left out at either end, so
-    that a single spike does not squeeze the rest (0: the plain minimum and maximum).
+    that a single spike does not squeeze the rest (0: the plain minimum and maximum). Those of ``optional``
+    may be constant or missing in the training logs; a constant one is scaled by 1.
 
     Raises:
         RecipeError: ``tail`` is not in [0, 0.5), or nothing has been learned yet.
@@ -33,6 +34,7 @@ class Normalise:
     version: ClassVar[str] = "1"
     learns_from: ClassVar[Literal["training"]] = "training"
     columns: tuple[str, ...]
+    optional: tuple[str, ...] = ()
     tail: float = 0.0
     learned: Arrays = field(default_factory=dict)
 
@@ -42,10 +44,12 @@ class Normalise:
 
     def fit(self, blocks: Sequence[Log], before: Sequence[Sequence[Stage]] = (), /) -> Self:
         lo, hi = [], []
-        for name in self.columns:
+        for name in self.names:
             x = np.concatenate([columns(b, [name])[name] for b in blocks])
             x = x[np.isfinite(x)]
             low, high = np.quantile(x, [self.tail, 1 - self.tail]) if x.size else (0.0, 0.0)
+            if not high > low and name in self.optional:
+                high = low + 1.0
             if not high > low:
                 raise LogError(
                     f"normalise: {name!r} is {'constant' if x.size else 'missing'} in the training logs; "
@@ -59,22 +63,26 @@ class Normalise:
         return self
 
     @property
+    def names(self) -> tuple[str, ...]:
+        return (*self.columns, *self.optional)
+
+    @property
     def needs(self) -> set[str]:
-        return set(self.columns)
+        return set(self.names)
 
     @property
     def adds(self) -> set[str]:
-        return {n + SUFFIX for n in self.columns}
+        return {n + SUFFIX for n in self.names}
 
     def start(self) -> None:
         return None
 
     def step(self, state: None, block: Log, /) -> tuple[None, Log]:
-        scaled = self.compute(columns(block, self.columns))
+        scaled = self.compute(columns(block, self.names))
         return None, add_columns(block, scaled, dict.fromkeys(scaled, "1"))
 
     def compute(self, values: Mapping[str, NDArray[np.float64]]) -> dict[str, NDArray[Any]]:
         if not self.learned:
             raise RecipeError("normalise: nothing learned yet; fit it first")
         lo, hi = self.learned["lo"], self.learned["hi"]
-        return {n + SUFFIX: (values[n] - lo[i]) / (hi[i] - lo[i]) for i, n in enumerate(self.columns)}
+        return {n + SUFFIX: (values[n] - lo[i]) / (hi[i] - lo[i]) for i, n in enumerate(self.names)}

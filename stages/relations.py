@@ -20,13 +20,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ingest.errors import LogError, RecipeError, did_you_mean
-from ingest.log import Log
+from ingest.log import TIME, Log
+from stages.formula import Formula
 from stages.gate import GATE
 from stages.gsmms import Combination, Gsmms, fit_gsmms
 from stages.normalise import SUFFIX
 from stages.partition import Growth, Partition
 from stages.stage import Arrays, Stage, add_columns, columns
 
+Values = Mapping[str, NDArray[np.float64]]
+FAR = 100.0  # as novel as anything
 REGIME, IN_DOMAIN, NOVELTY, SD = "regime", "in_domain", ".novelty", ".sd"
 
 
@@ -38,10 +41,19 @@ def familiarity(novelty: NDArray[np.float64], known_to: float) -> NDArray[np.flo
 
 @dataclass(frozen=True, kw_only=True)
 class Relation:
-    """``output`` as a function of ``inputs`` (columns; their normalised copies are the regressors)."""
+    """``output``, a formula of columns and earlier relations, as a function of ``inputs`` (columns; their
+    normalised copies are the regressors).
+
+    ``otherwise``: the inputs where the training logs lack one of ``inputs``; ``where``: a formula, the
+    relation holds where it is positive, elsewhere the output is 0 (a closed valve); ``weight``: of a training
+    sample for the parameters, besides the gate, but not for the domain.
+    """
 
     output: str
     inputs: tuple[str, ...]
+    otherwise: tuple[str, ...] = ()
+    where: str = "1"
+    weight: str = "1"
     unit: str = ""
     nodes: int = 16
     samples_per_parameter: float = 6.0
@@ -56,28 +68,57 @@ class Relation:
                 f"inputs = {list(self.inputs)}, nodes = {self.nodes}, "
                 f"samples_per_parameter = {self.samples_per_parameter}"
             )
+        assert self.formulas is not None
+
+    @cached_property
+    def formulas(self) -> tuple[Formula, Formula, Formula]:
+        """Output, where and weight."""
+        return Formula(self.output), Formula(self.where), Formula(self.weight)
+
+    @property
+    def needs(self) -> set[str]:
+        columns = {n + SUFFIX for n in (*self.inputs, *self.otherwise)}
+        return columns.union(*(f.names for f in self.formulas))
+
+    def holds(self, values: Values) -> NDArray[np.bool_]:
+        """Where the relation says something else than 0, shape (rows,)."""
+        return np.asarray(np.broadcast_to(self.formulas[1](values), values[TIME].shape) > 0)
+
+    def chosen(self, values: Values) -> tuple[str, ...]:
+        """``inputs``, unless one is missing throughout and there are others to take."""
+        missing = any(not np.isfinite(values[n + SUFFIX]).any() for n in self.inputs)
+        return self.otherwise if missing and self.otherwise else self.inputs
 
     def fit(
         self,
-        values: Mapping[str, NDArray[np.float64]],
+        values: Values,
+        inputs: tuple[str, ...],
         weight: NDArray[np.float64],
-        partition: Partition | None = None,
-    ) -> Gsmms:
+        partition: Partition | None,
+    ) -> Gsmms | None:
+        """None where it holds nowhere in the training logs."""
+        output, _, own = (f(values) for f in self.formulas)
+        holds = self.holds(values)
+        if not holds.any():
+            return None
         growth = Growth(
             nodes=self.nodes, samples_per_parameter=self.samples_per_parameter, max_error=self.max_error
         )
         return fit_gsmms(
-            self.regressors(values),
-            values[self.output],
-            weight,
+            regressors(values, inputs)[holds],
+            output[holds],
+            weight[holds],
+            np.broadcast_to(own, holds.shape)[holds],
             growth=growth,
             combination=self.combination,
             neighbourhood=self.neighbourhood,
             partition=partition,
         )
 
-    def regressors(self, values: Mapping[str, NDArray[np.float64]]) -> NDArray[np.float64]:
-        return np.column_stack([values[n + SUFFIX] for n in self.inputs])
+
+def regressors(values: Values, inputs: Sequence[str]) -> NDArray[np.float64]:
+    """The normalised inputs, shape (rows, d)."""
+    return np.column_stack([values[n + SUFFIX] for n in inputs])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,15 +146,19 @@ class Relations:
 
     @cached_property
     def models(self) -> dict[str, Gsmms]:
-        """The fitted models by relation."""
+        """The fitted models by relation; one that held nowhere in the training logs has none."""
         if not self.learned:
             raise RecipeError("relations: nothing learned yet; fit it first")
-        return {
-            name: Gsmms.from_arrays(
-                {k.removeprefix(name + "/"): v for k, v in self.learned.items() if k.startswith(name + "/")}
-            )
+        arrays = {
+            name: {k.removeprefix(f"{name}/"): v for k, v in self.learned.items() if k.startswith(f"{name}/")}
             for name in self.relations
         }
+        return {name: Gsmms.from_arrays(found) for name, found in arrays.items() if "theta" in found}
+
+    def inputs(self, name: str) -> tuple[str, ...]:
+        """The inputs that a relation was fitted with."""
+        relation = self.relations[name]
+        return relation.otherwise if self.learned[f"{name}/otherwise"] else relation.inputs
 
     def fit(self, blocks: Sequence[Log], before: Sequence[Sequence[Stage]] = (), /) -> Self:
         return self._fit(blocks, {})
@@ -127,25 +172,32 @@ class Relations:
         weight = values.get(GATE, np.ones(len(values[self.map[0]])))
         learned: dict[str, NDArray[Any]] = {}
         for name, relation in self.relations.items():
+            inputs = relation.chosen(values)
             try:
-                model = relation.fit(values, weight, partitions.get(name))
+                model = relation.fit(values, inputs, weight, partitions.get(name))
             except LogError as error:
                 raise LogError(f"relation {name!r}: {error}") from None
-            learned |= {f"{name}/{k}": v for k, v in model.to_arrays().items()}
+            learned[f"{name}/otherwise"] = np.array(inputs != relation.inputs)
+            if model is not None:
+                learned |= {f"{name}/{k}": v for k, v in model.to_arrays().items()}
             if name == self.regime:
-                learned |= self._describe(model, relation, values, weight)
+                learned |= self._describe(model, relation, inputs, values, weight)
+            values[name] = self._predicted(relation, model, inputs, values)[0]
         return replace(self, learned=learned)
 
     def _describe(
         self,
-        model: Gsmms,
+        model: Gsmms | None,
         relation: Relation,
-        values: Mapping[str, NDArray[np.float64]],
+        inputs: Sequence[str],
+        values: Values,
         weight: NDArray[np.float64],
     ) -> dict[str, NDArray[np.float64]]:
         """Per region: centre in the plane of ``map``, training samples, root mean square error."""
-        S = relation.regressors(values)
-        unit, error = model.partition.assign(S), values[relation.output] - model.predict(S)
+        if model is None:
+            raise LogError(f"relation {self.regime!r}, which gives the regime, holds nowhere in the logs")
+        S = regressors(values, inputs)
+        unit, error = model.partition.assign(S), relation.formulas[0](values) - model.predict(S)
         known = (unit >= 0) & np.isfinite(error)
         M = len(model.theta)
 
@@ -162,9 +214,7 @@ class Relations:
 
     @property
     def needs(self) -> set[str]:
-        return {*self.map}.union(
-            *({r.output, *(n + SUFFIX for n in r.inputs)} for r in self.relations.values())
-        )
+        return {*self.map}.union(*(r.needs for r in self.relations.values())) - {TIME, *self.relations}
 
     @property
     def adds(self) -> set[str]:
@@ -177,17 +227,34 @@ class Relations:
         units = {c: r.unit for n, r in self.relations.items() for c in (n, n + SD) if r.unit}
         return None, add_columns(block, self.compute(columns(block)), units)
 
-    def compute(self, values: Mapping[str, NDArray[np.float64]]) -> dict[str, NDArray[Any]]:
+    def compute(self, values: Values) -> dict[str, NDArray[Any]]:
         added: dict[str, NDArray[Any]] = {}
-        inputs = {name: relation.regressors(values) for name, relation in self.relations.items()}
-        regime = self.models[self.regime]
-        everywhere = regime.novelty(inputs[self.regime])
+        S = regressors(values, self.inputs(self.regime))
+        everywhere = self.models[self.regime].novelty(S)
         largest = everywhere
-        for name, S in inputs.items():
-            model = self.models[name]
-            novelty = np.maximum(model.novelty(S), everywhere)
-            added |= {name: model.predict(S), name + NOVELTY: novelty}
-            added[name + SD] = self.doubt * model.doubt(S) * np.maximum(1.0, novelty) ** 2
+        for name, relation in self.relations.items():
+            scope = {**values, **added}
+            predicted, doubt, novelty = self._predicted(
+                relation, self.models.get(name), self.inputs(name), scope
+            )
+            novelty = np.maximum(novelty, everywhere)
+            sd = self.doubt * doubt * np.clip(novelty, 1.0, FAR) ** 2
+            added |= {name: predicted, name + SD: sd, name + NOVELTY: novelty}
             largest = np.maximum(largest, novelty)
-        unit = regime.partition.assign(inputs[self.regime])
-        return added | {REGIME: unit, IN_DOMAIN: largest <= 1}
+        return added | {REGIME: self.models[self.regime].partition.assign(S), IN_DOMAIN: largest <= 1}
+
+    @staticmethod
+    def _predicted(
+        relation: Relation, model: Gsmms | None, inputs: Sequence[str], values: Values
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Prediction, doubt and novelty; 0 where the relation does not hold, and where it never held in
+        training infinitely novel."""
+        holds = relation.holds(values)
+        if model is None:
+            return np.zeros(holds.shape), np.zeros(holds.shape), np.where(holds, np.inf, 0.0)
+        S = regressors(values, inputs)
+        return (
+            np.where(holds, model.predict(S), 0.0),
+            np.where(holds, model.doubt(S), 0.0),
+            np.where(holds, model.novelty(S), 0.0),
+        )
