@@ -1,4 +1,6 @@
-"""Air-path diagnosis on simulated drives: python -m benchmarks.airpath [single] [tolerance] [drift] [--seeds N]
+"""Air-path diagnosis on simulated drives.
+
+    python -m benchmarks.airpath [single] [tolerance] [drift] [ends] [egr] [--seeds N]
 
 Trained on one WLTC, calibrated on other cycles, tested on UDDS, US06 and HWFET with seeds from 9000, that
 nothing was tuned on. Every line says how many drives it counts.
@@ -9,7 +11,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -20,7 +22,8 @@ from pipeline.diagnosing import diagnose
 from pipeline.fitting import fit
 from pipeline.recipe import load_recipe
 
-CYCLES, FIRST_SEED = ("udds", "us06", "hwfet"), 9000
+LENGTH_S = {"udds": 1369.0, "us06": 596.0, "hwfet": 765.0}
+FIRST_SEED = 9000
 CALIBRATION = [
     ("ftp75", 1),
     ("nedc", 2),
@@ -44,15 +47,17 @@ LARGE = {
     "boost_leak": (6.0, 8.0),
     "intake_leak": (6.0, 8.0),
 }
+EGR = {**LARGE, "intake_temperature_gain": (-0.03, 0.03), "egr_stuck_open": (15.0, 30.0, 60.0)}
 
 
 @dataclass(frozen=True)
 class Case:
     """One drive: what is wrong with it and what the verdict on it was."""
 
-    cycle: str
-    seed: int
-    tolerance: int
+    cycle: str = ""
+    seed: int = 0
+    tolerance: int = 0
+    egr: bool = False
     fault: str = "none"
     magnitude: float = 0.0
     ramp_s: float = 0.0
@@ -83,12 +88,14 @@ class Found:
 
 
 @cache
-def detector(tolerance: int) -> Detector:
-    """Training without tolerances, calibration with."""
+def detector(tolerance: int, egr: bool) -> Detector:
+    """Training without tolerances, with EGR on a second WLTC; calibration with tolerances."""
     calibrate = [
-        simulate_airpath(cycle=c, seed=s, tolerance=tolerance, name=f"{c}_{s}") for c, s in CALIBRATION
+        simulate_airpath(cycle=c, seed=s, tolerance=tolerance, egr=egr, name=f"{c}_{s}")
+        for c, s in CALIBRATION
     ]
-    return fit([simulate_airpath(seed=0)], load_recipe("diesel_airpath"), calibrate)
+    training = [simulate_airpath(seed=s, egr=e) for s, e in ((0, False), (100, True))[: 1 + egr]]
+    return fit(training, load_recipe("diesel_airpath"), calibrate)
 
 
 def judged(case: Case) -> Found:
@@ -114,17 +121,15 @@ def judged(case: Case) -> Found:
     )
 
 
-def drives(
-    sizes: dict[str, tuple[float, ...]], tolerance: int, seeds: int, **options: float
-) -> Iterator[Case]:
-    """Fault-free drives, three seeds for every one of the faults', and all faults."""
-    for cycle in CYCLES:
+def drives(plan: Case, sizes: dict[str, tuple[float, ...]], seeds: int) -> Iterator[Case]:
+    """As ``plan``, on every cycle: fault-free drives, four for every one of a fault's, and all faults."""
+    for cycle in LENGTH_S:
         for seed in range(FIRST_SEED, FIRST_SEED + 4 * seeds):
-            yield Case(cycle, seed, tolerance)
+            yield replace(plan, cycle=cycle, seed=seed)
         for fault, magnitudes in sizes.items():
             for i, m in enumerate(magnitudes):
-                for seed in range(seeds):
-                    yield Case(cycle, FIRST_SEED + 100 * (i + 1) + seed, tolerance, fault, m, **options)
+                for seed in range(FIRST_SEED + 100 * (i + 1), FIRST_SEED + 100 * (i + 1) + seeds):
+                    yield replace(plan, cycle=cycle, seed=seed, fault=fault, magnitude=m)
 
 
 def report(title: str, found: Sequence[Found]) -> None:
@@ -133,12 +138,11 @@ def report(title: str, found: Sequence[Found]) -> None:
     faulty = [f for f in found if f.case.fault != "none"]
     print(f"\n{title}")
     alarms = [f for f in healthy if f.alarm]
+    names = ", ".join(f"{f.case.name} {f.fault}" for f in alarms)
+    print(f"  fault-free drives with an alarm: {len(alarms)} of {len(healthy)} {names}")
     print(
-        f"  fault-free drives with an alarm: {len(alarms)} of {len(healthy)}",
-        *(f"{f.case.name} {f.fault}" for f in alarms),
-    )
-    print(
-        f"  {'fault':24s}{'size':>8s}{'drives':>8s}{'found':>7s}{'right':>7s}{'in set':>8s}{'p>.95 wrong':>13s}{'delay s: median, 90 %':>24s}{'size':>10s}"
+        "  fault                       size  drives  found  right  in set  p>.95 wrong"
+        "   delay s: median, 90 %      size"
     )
     keys = sorted({(f.case.fault, f.case.magnitude) for f in faulty})
     for key in keys:
@@ -160,29 +164,34 @@ def _row(name: str, size: str, some: Sequence[Found]) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("parts", nargs="*", choices=["single", "tolerance", "drift", "ends", []])
+    parser.add_argument("parts", nargs="*", metavar="PART", help="single tolerance drift ends egr")
     parser.add_argument("--seeds", type=int, default=6, help="per cycle, fault and size")
     parser.add_argument("--workers", type=int, default=2)
     args = parser.parse_args()
-    parts = args.parts or ["single", "tolerance", "drift", "ends"]
+    few = max(1, args.seeds // 3)
     plans = {
-        "single": ("no tolerances", list(drives(SMALL, 0, args.seeds))),
-        "tolerance": ("tolerance level 1", list(drives(LARGE, 1, args.seeds))),
-        "drift": ("drifts over 200 s", list(drives(LARGE, 0, max(1, args.seeds // 3), ramp_s=200.0))),
-        "ends": ("faults that end at 60 %", list(drives(LARGE, 0, max(1, args.seeds // 3), end=0.6))),
+        "single": ("no tolerances", Case(), SMALL, args.seeds),
+        "tolerance": ("tolerance level 1", Case(tolerance=1), LARGE, args.seeds),
+        "drift": ("drifts over 200 s", Case(ramp_s=200.0), LARGE, few),
+        "ends": ("faults that end at 60 %", Case(end=0.6), LARGE, few),
+        "egr": ("EGR active", Case(egr=True), EGR, args.seeds),
     }
+    if unknown := set(args.parts) - plans.keys():
+        parser.error(f"no part {', '.join(unknown)}; there are {', '.join(plans)}")
     with ProcessPoolExecutor(args.workers) as pool:
-        for part in parts:
-            title, cases = plans[part]
-            found = list(pool.map(judged, cases, chunksize=4))
+        for part in args.parts or plans:
+            title, plan, sizes, seeds = plans[part]
+            found = list(pool.map(judged, drives(plan, sizes, seeds), chunksize=4))
             report(title, found)
             if part == "ends":
-                for fault in LARGE:
-                    late = np.array([f.cleared_s for f in found if f.case.fault == fault])
-                    late = late[np.isfinite(late)]
-                    print(
-                        f"  {fault}: cleared after {np.median(late):.0f} s (median), {late.max():.0f} s at most, of {len(late)}"
-                    )
+                _cleared(found)
+
+
+def _cleared(found: Sequence[Found]) -> None:
+    for fault in LARGE:
+        late = np.array([f.cleared_s for f in found if f.case.fault == fault])
+        late = late[np.isfinite(late)]
+        print(f"  {fault}: cleared after {np.median(late):.0f} s (median), {late.max():.0f} s at most")
 
 
 if __name__ == "__main__":

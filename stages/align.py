@@ -39,8 +39,8 @@ class AlignState:
 
 @dataclass(frozen=True, kw_only=True)
 class Align:
-    """Settings: ``signals`` (all must be in the log) and ``optional`` ones, ``raster_s``, ``max_gap_s``, and
-    which of several samples with one time stamp counts.
+    """Settings: ``signals`` (all must be in the log) and ``optional`` ones (missing throughout where it lacks
+    them), ``raster_s``, ``max_gap_s``, and which of several samples with one time stamp counts.
 
     Raises:
         RecipeError: no signals, or a negative raster or gap.

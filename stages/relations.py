@@ -229,8 +229,9 @@ class Relations:
 
     def compute(self, values: Values) -> dict[str, NDArray[Any]]:
         added: dict[str, NDArray[Any]] = {}
+        regime = self.models[self.regime]
         S = regressors(values, self.inputs(self.regime))
-        everywhere = self.models[self.regime].novelty(S)
+        everywhere = regime.novelty(S)
         largest = everywhere
         for name, relation in self.relations.items():
             scope = {**values, **added}
@@ -241,7 +242,7 @@ class Relations:
             sd = self.doubt * doubt * np.clip(novelty, 1.0, FAR) ** 2
             added |= {name: predicted, name + SD: sd, name + NOVELTY: novelty}
             largest = np.maximum(largest, novelty)
-        return added | {REGIME: self.models[self.regime].partition.assign(S), IN_DOMAIN: largest <= 1}
+        return added | {REGIME: regime.partition.assign(S), IN_DOMAIN: largest <= 1}
 
     @staticmethod
     def _predicted(
