@@ -1,4 +1,4 @@
-"""The diesel engine of 4.3.2: chi (4.22) on unseen logs with all inputs and with the selected ones, Table 4.4.
+"""The diesel engine of 4.3.2: chi (4.22) on unseen logs with all and with selected inputs, Table 4.4.
 
 Published: 1.84, 2.07, 1.45 % with all inputs, 1.47, 1.99, 1.32 % with the selected ones. Here on simulated
 drives, and on recorded bench data where there are some. No past of the outputs (n_a = 0), n_b and n_k up
