@@ -106,7 +106,7 @@ def judged(case: Case) -> Found:
     if case.fault != "none":
         fault = Fault(name=case.fault, magnitude=case.magnitude, onset_s=onset, ramp_s=case.ramp_s, end_s=end)
         log = simulate_airpath(cycle=case.cycle, seed=case.seed, tolerance=case.tolerance, faults=[fault])
-    diagnosis = diagnose(log, detector(case.tolerance))
+    diagnosis = diagnose(log, detector(case.tolerance, case.egr))
     verdict, samples = diagnosis.verdict, diagnosis.samples
     on = samples.filter(samples["detection"] == 1)["time"]
     last = float(on[-1]) if len(on) else np.nan

@@ -17,6 +17,7 @@ from stages.narx import Narx
 from stages.relations import IN_DOMAIN, REGIME, Relations
 from stages.residuals import MODEL_SD, RESIDUAL, SIGMA, Z
 from stages.results import (
+    DETECTABLE,
     DETECTION,
     EVIDENCE,
     PROBABILITY,
@@ -30,7 +31,7 @@ from stages.results import (
 from stages.stage import ANALYSIS, transform
 from stages.verdict import Judge, Table
 
-KINDS = (RESIDUAL, INDICATOR, SIGMA, Z, MODEL_SD, EVIDENCE, PROBABILITY, SIZE, SIZE_SD)
+KINDS = (RESIDUAL, INDICATOR, SIGMA, Z, MODEL_SD, EVIDENCE, PROBABILITY, SIZE, SIZE_SD, DETECTABLE)
 
 
 def diagnose(

@@ -19,9 +19,11 @@ from numba import njit
 from numpy.typing import NDArray
 
 from stages.likelihood import add_sample, between, log_likelihood, peak, tame
+from stages.size_grid import Grid
 
 Array = NDArray[np.float64]
 ALARM, HELD, NAMED, SIZE, EVIDENCE, SINCE, DECIDED, RESTED = range(8)  # clocks
+QUANTILE = 1.645  # 95 % of a normal deviate lie below
 
 
 class Rows(NamedTuple):
@@ -37,20 +39,6 @@ class Rows(NamedTuple):
     sigma: Array
     doubt: Array
     shapes: Array
-
-
-class Grid(NamedTuple):
-    """The refined grid: for each of its points the points computed on either side and the share of the right
-    one; points and sizes of each fault in order, 0 (the log as it is) among them, and their number; the log
-    prior of each point as a healthy one, -inf for the faults'."""
-
-    left: NDArray[np.int64]
-    right: NDArray[np.int64]
-    share: Array
-    points: NDArray[np.int64]
-    sizes: Array
-    counts: NDArray[np.int64]
-    prior: Array
 
 
 class Settings(NamedTuple):
@@ -73,7 +61,8 @@ class Settings(NamedTuple):
 class Memory(NamedTuple):
     """What the recursion remembers, changed in place: sums by memory (the episode's and the rest's last),
     point and residual; those of the rest at earlier seconds and their times; where it began; log-likelihood
-    ratios that an episode began with; clocks; the largest evidence so far; the last decision."""
+    ratios that an episode began with; clocks; the largest evidence so far, and the smallest size that would
+    have been seen; the last decision."""
 
     S: Array
     earlier: Array
@@ -82,6 +71,7 @@ class Memory(NamedTuple):
     kept: Array
     clocks: Array
     largest: Array
+    detectable: Array
     statistic: Array
     evidence: Array
     p: Array
@@ -199,6 +189,24 @@ def note_rest(memory: Memory) -> None:  # pragma: no cover - compiled
 
 
 @njit(cache=True)
+def note_detectable(
+    L: Array, threshold: Array, grid: Grid, detectable: Array
+) -> None:  # pragma: no cover - compiled
+    """Lower ``detectable`` to the sizes that would have been seen at 95 % in what ``L`` remembers.
+
+    By symmetry a fault would gain over being healthy what being healthy gains over the fault, ``G``. A gain
+    of mean m has standard deviation ``sqrt(2 m)``, and goes with the square of the size.
+    """
+    for f in range(len(detectable)):
+        needed = 0.5 * (QUANTILE + np.sqrt(QUANTILE**2 + 2.0 * threshold[f])) ** 2
+        for k in range(grid.counts[f]):
+            gain = L[0] - L[grid.points[f, k]]
+            if gain >= needed:
+                size = abs(grid.sizes[f, k]) * np.sqrt(needed / gain)
+                detectable[f] = min(detectable[f], size)
+
+
+@njit(cache=True)
 def decide(
     memory: Memory, settings: Settings, grid: Grid, elapsed: float
 ) -> None:  # pragma: no cover - compiled
@@ -219,6 +227,8 @@ def decide(
             f = int(clocks[NAMED])
             named = L[nearest(grid.points[f, : grid.counts[f]], grid.sizes[f], clocks[SIZE])] - L[0]
             over = over or named < -settings.threshold[i, f]
+        if clocks[ALARM] == 0 and not stepped:
+            note_detectable(L, settings.threshold[i], grid, memory.detectable)
         for f in range(F):
             memory.largest[min(i, T), f] = max(memory.largest[min(i, T), f], evidence[f])
             excess = evidence[f] - settings.threshold[min(i, T), f]
@@ -262,12 +272,12 @@ def judge(memory: Memory, settings: Settings, grid: Grid) -> None:  # pragma: no
 @njit(cache=True)
 def follow(
     rows: Rows, grid: Grid, settings: Settings, memory: Memory
-) -> tuple[Array, NDArray[np.int8], Array, Array, Array, Array]:  # pragma: no cover - compiled
+) -> tuple[Array, NDArray[np.int8], Array, Array, Array, Array, Array]:  # pragma: no cover - compiled
     """The recursion over the rows; changes ``memory`` in place."""
     N, F = len(rows.dt), grid.points.shape[0]
     statistic, detection = np.empty(N), np.zeros(N, dtype=np.int8)
     out_evidence, out_p = np.empty((N, F)), np.empty((N, F + 1))
-    out_size, out_sd = np.empty((N, F)), np.empty((N, F))
+    out_size, out_sd, out_least = np.empty((N, F)), np.empty((N, F)), np.empty((N, F))
     clocks, row = memory.clocks, 0
     for k in range(N):
         remember(memory, settings, grid, rows, k, row)
@@ -284,5 +294,5 @@ def follow(
                 memory.p[:] = 0.0
         statistic[k], detection[k] = memory.statistic[0], np.int8(clocks[ALARM])
         out_evidence[k], out_p[k] = memory.evidence[:F], memory.p
-        out_size[k], out_sd[k] = memory.size, memory.size_sd
-    return statistic, detection, out_evidence, out_p, out_size, out_sd
+        out_size[k], out_sd[k], out_least[k] = memory.size, memory.size_sd, memory.detectable
+    return statistic, detection, out_evidence, out_p, out_size, out_sd, out_least

@@ -32,11 +32,11 @@ class Hypothesis:
     log's start.
 
     ``sizes``: the grid of sizes to try, in ``unit`` (``"1"``, ``"mm"``, ``"%"``); ``signal``: the sensor
-    concerned, if one; ``inexact``: the part of what undoing changes in a residual that may be wrong
-    (standard deviation).
+    concerned, if one; ``from_zero``: size 0 is being healthy, which is not so for a stuck valve; ``inexact``:
+    the part of what undoing changes in a residual that may be wrong (standard deviation).
 
     Raises:
-        RecipeError: no correction or no sizes, sizes that do not rise or hold 0 (that is being healthy), or a
+        RecipeError: no correction or no sizes, sizes that do not rise or hold 0 though that is healthy, or a
             formula that cannot be read.
     """
 
@@ -44,11 +44,12 @@ class Hypothesis:
     sizes: tuple[float, ...]
     unit: str = "1"
     signal: str | None = None
+    from_zero: bool = True
     inexact: float = 0.0
 
     def __post_init__(self) -> None:
         s = self.sizes
-        if not self.undo or not s or 0.0 in s or any(b <= a for a, b in pairwise(s)):
+        if not self.undo or not s or (self.from_zero and 0.0 in s) or any(b <= a for a, b in pairwise(s)):
             raise RecipeError(
                 "a hypothesis needs `undo` and rising `sizes` without 0, "
                 f"got undo = {dict(self.undo)}, sizes = {list(s)}"

@@ -35,18 +35,19 @@ from numpy.typing import NDArray
 
 from ingest.errors import RecipeError
 from ingest.log import TIME, Log
-from stages.evidence import Grid, Memory, Rows, Settings, follow
+from stages.evidence import Memory, Rows, Settings, follow
 from stages.formula import Formula
 from stages.gate import GATE
-from stages.hypotheses import DRIFT_PRIOR, Drift, Hypothesis, Points
+from stages.hypotheses import Drift, Hypothesis, Points
 from stages.likelihood import SUMS
+from stages.offsets import offset_sd
 from stages.relations import familiarity
-from stages.residuals import RESIDUAL, SIGMA, Residuals, residual_names
-from stages.results import DETECTION, EVIDENCE, PROBABILITY, SIZE, SIZE_SD, STATISTIC, UNKNOWN
+from stages.residuals import Residuals, residual_names
+from stages.results import DETECTABLE, DETECTION, EVIDENCE, PROBABILITY, SIZE, SIZE_SD, STATISTIC, UNKNOWN
+from stages.size_grid import Grid, refined_grid
 from stages.stage import ANALYSIS, Arrays, RowWise, Stage, add_columns, columns
 
 Array = NDArray[np.float64]
-MIN_RUNS = 3  # fewer do not tell what differs from run to run
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +118,7 @@ class Isolate:
         faults = [*self.hypotheses, UNKNOWN]
         return (
             {DETECTION, STATISTIC}
-            | {EVIDENCE + f for f in self.hypotheses}
+            | {kind + f for f in self.hypotheses for kind in (EVIDENCE, DETECTABLE)}
             | {PROBABILITY + f for f in faults}
         )
 
@@ -144,7 +145,9 @@ class Isolate:
     def fit(self, blocks: Sequence[Log], before: Sequence[Sequence[Stage]] = (), /) -> Self:
         shape = (len(self.memories_s) + 1, len(self.hypotheses))
         largest = np.zeros(shape)
-        learned = {"offset_sd": self._offset_sd(blocks)}
+        judged = self._judged(blocks)
+        given = np.array([self.offsets.get(r, {}).get("1", 0.0) for r in judged])
+        learned = {"offset_sd": offset_sd(blocks, judged, given, self.memories_s[-2], self.correlation_s)}
         silent = replace(self, learned={"threshold": np.full(shape, np.inf), **learned})
         for block, passed in zip(blocks, before, strict=True):
             stage = silent.connect(passed)
@@ -152,27 +155,6 @@ class Isolate:
         least = np.append(np.full(len(self.memories_s), self.min_threshold), self.min_step_threshold)
         threshold = np.maximum(largest + self.margin, least[:, None])
         return replace(self, learned={"threshold": threshold, **learned})
-
-    def _offset_sd(self, blocks: Sequence[Log]) -> Array:
-        """Standard deviation of each residual's plain offset: that of the calibration logs over the longest
-        memory but one, less what noise gives it, and the recipe's, counting as one log; the recipe's alone if
-        there are fewer than ``MIN_RUNS`` logs."""
-        given = np.array([self.offsets.get(r, {}).get("1", 0.0) for r in self._judged(blocks)])
-        if len({block.name for block in blocks}) < MIN_RUNS:
-            return given
-        square = given**2
-        for block in blocks:
-            values = columns(block)
-            time = values[TIME]
-            part = ((time - time[0]) // self.memories_s[-2]).astype(int)
-            samples = max(1.0, self.correlation_s / float(np.median(np.diff(time))))
-            for i, r in enumerate(self._judged(blocks)):
-                e, sigma = np.nan_to_num(values[RESIDUAL + r]), values[SIGMA + r]
-                weight = np.where(np.isfinite(values[RESIDUAL + r]), 1 / sigma**2, 0.0)
-                S0 = np.maximum(np.bincount(part, weight), 1e-12)
-                excess = (np.bincount(part, weight * e) / S0) ** 2 - samples / S0
-                square[i] += max(float(np.average(excess, weights=S0)), 0.0)
-        return np.sqrt(square / (len(blocks) + 1))
 
     def _judged(self, blocks: Sequence[Log]) -> list[str]:
         known = residual_names(blocks[0])
@@ -193,6 +175,7 @@ class Isolate:
             kept=np.zeros(points),
             clocks=np.zeros(8),
             largest=np.full((len(self.memories_s) + 1, F), -np.inf),
+            detectable=np.full(F, np.inf),
             statistic=np.full(1, -np.inf),
             evidence=np.zeros(F + 1),
             p=np.zeros(F + 1),
@@ -227,13 +210,24 @@ class Isolate:
         return IsolateState(first, last, memory), add_columns(block, self._columns(*out))
 
     def _columns(
-        self, statistic: Array, detection: NDArray[np.int8], evidence: Array, p: Array, size: Array, sd: Array
+        self,
+        statistic: Array,
+        detection: NDArray[np.int8],
+        evidence: Array,
+        p: Array,
+        size: Array,
+        sd: Array,
+        least: Array,
     ) -> dict[str, NDArray[Any]]:
         added: dict[str, NDArray[Any]] = {STATISTIC: statistic, DETECTION: detection}
         for i, fault in enumerate(self.hypotheses):
-            added |= {EVIDENCE + fault: evidence[:, i].astype(np.float32), SIZE + fault: size[:, i]}
-            width = np.where(np.isfinite(sd[:, i]), sd[:, i], np.nan)
-            added |= {SIZE_SD + fault: width, PROBABILITY + fault: p[:, i].astype(np.float32)}
+            added |= {
+                EVIDENCE + fault: evidence[:, i].astype(np.float32),
+                SIZE + fault: size[:, i],
+                SIZE_SD + fault: _finite(sd[:, i]),
+                PROBABILITY + fault: p[:, i].astype(np.float32),
+                DETECTABLE + fault: _finite(least[:, i]).astype(np.float32),
+            }
         return added | {PROBABILITY + UNKNOWN: p[:, -1].astype(np.float32)}
 
     def _place(self, values: Mapping[str, Array]) -> Array:
@@ -295,30 +289,8 @@ class Isolate:
 
     @cached_property
     def _grid(self) -> Grid:
-        healthy = 1 + len(self.drifts) * len(DRIFT_PRIOR)
-        left, right, share = list(range(healthy)), list(range(healthy)), [0.0] * healthy
-        grids: list[list[tuple[float, int]]] = []
-        start = healthy
-        for h in self.hypotheses.values():
-            computed = sorted([(0.0, 0), *zip(h.sizes, range(start, start + len(h.sizes)), strict=True)])
-            start += len(h.sizes)
-            grid = []
-            for (x, a), (y, b) in pairwise([*computed, computed[-1]]):
-                for k in range(self.between if b != a else 1):
-                    if a == 0 and k == 0:
-                        grid.append((0.0, 0))
-                        continue
-                    grid.append((x + (y - x) * k / self.between, len(left)))
-                    left.append(a)
-                    right.append(b)
-                    share.append(k / self.between)
-            grids.append(grid)
-        widest = max(len(grid) for grid in grids)
-        points, sizes = np.full((len(grids), widest), -1), np.zeros((len(grids), widest))
-        for i, grid in enumerate(grids):
-            sizes[i, : len(grid)], points[i, : len(grid)] = zip(*grid, strict=True)
-        prior = np.full(len(left), -np.inf)
-        plain = 1.0 - sum(DRIFT_PRIOR) if self.drifts else 1.0
-        prior[:healthy] = np.log([plain, *np.tile(DRIFT_PRIOR, len(self.drifts)) / max(len(self.drifts), 1)])
-        counts = np.array([len(grid) for grid in grids])
-        return Grid(np.array(left), np.array(right), np.array(share), points, sizes, counts, prior)
+        return refined_grid([*self.hypotheses.values()], len(self.drifts), self.between)
+
+
+def _finite(x: Array) -> Array:
+    return np.where(np.isfinite(x), x, np.nan)

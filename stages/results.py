@@ -14,7 +14,7 @@ from ingest.log import Event, Group, Log
 
 # columns of the samples; those with a dot are prefixes of a fault's name
 DETECTION, EVIDENCE, PROBABILITY, UNKNOWN = "detection", "evidence.", "p.", "unknown"
-STATISTIC, SIZE, SIZE_SD = "statistic", "size.", "size_sd."
+STATISTIC, SIZE, SIZE_SD, DETECTABLE = "statistic", "size.", "size_sd.", "detectable."
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,7 +44,7 @@ class Verdict:
     onset_s: float | None = None
     detected_s: float | None = None
     magnitude: Magnitude | None = None
-    detectable: Mapping[str, float] | None = None
+    detectable: Mapping[str, float | None] | None = None
     events: tuple[Event, ...] = ()
     quality: Mapping[str, Any] = field(default_factory=dict)
     statistics: Mapping[str, Any] = field(default_factory=dict)

@@ -20,6 +20,7 @@ from stages.gate import GATE
 from stages.relations import IN_DOMAIN
 from stages.residuals import SIGMA, Z
 from stages.results import (
+    DETECTABLE,
     DETECTION,
     EVIDENCE,
     PROBABILITY,
@@ -72,6 +73,7 @@ class Judge:
         none = Verdict(
             log=log.name, recipe=recipe, detector=detector, quality=quality, statistics=statistics,
             fault="none" if usable >= self.min_evidence_s else "insufficient_evidence",
+            detectable=detectable(samples),
         )  # fmt: skip
         episodes = self._episodes(samples)
         if not episodes:
@@ -136,6 +138,19 @@ class Judge:
         names = names or [STATISTIC]  # no fault is supposed
         count = last - first + 1
         return max(float(samples[c].slice(first, count).max() or 0.0) for c in names)  # type: ignore[arg-type]
+
+
+def detectable(samples: Table) -> dict[str, float | None] | None:
+    """Smallest size of each fault that the log would have shown at 95 %; None where it would have shown
+    none."""
+    last = samples.slice(max(samples.height - 1, 0), 1).to_dicts()
+    found = {
+        c.removeprefix(DETECTABLE): None if x is None or not np.isfinite(x) else float(f"{x:.3g}")
+        for row in last
+        for c, x in row.items()
+        if c.startswith(DETECTABLE)
+    }
+    return found or None
 
 
 def onset(samples: Table, first: int) -> float:
