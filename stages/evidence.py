@@ -22,7 +22,7 @@ from stages.likelihood import add_sample, between, log_likelihood, peak, tame
 from stages.size_grid import Grid
 
 Array = NDArray[np.float64]
-ALARM, HELD, NAMED, SIZE, EVIDENCE, SINCE, DECIDED, RESTED = range(8)  # clocks
+ALARM, HELD, NAMED, SIZE, EVIDENCE, SINCE, DECIDED, RESTED, SEEN = range(9)  # clocks
 QUANTILE = 1.645  # 95 % of a normal deviate lie below
 
 
@@ -140,7 +140,8 @@ def remember(
     e = between(rows.e[row], grid.left, grid.right, grid.share)
     sigma = between(rows.sigma[row], grid.left, grid.right, grid.share)
     doubt = between(rows.doubt[row], grid.left, grid.right, grid.share)
-    tamed = tame(e, sigma, S[1, :-1], settings.clip)
+    tamed = tame(e, sigma, S[1, :-1], settings.clip, memory.clocks[SEEN])
+    memory.clocks[SEEN] += min(dt, settings.correlation) / settings.correlation
     for i in range(len(S)):
         add_sample(S[i, :-1], tamed, sigma, doubt, rows.shapes[row], weight)
         add_sample(S[i, -1:], e[:1], sigma[:1], doubt[:1], rows.shapes[row], weight)

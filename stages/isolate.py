@@ -173,7 +173,7 @@ class Isolate:
             times=np.full(int(max(self.step_ages_s)) + 2, np.inf),
             place=np.full(len(self.rest), np.nan),
             kept=np.zeros(points),
-            clocks=np.zeros(8),
+            clocks=np.zeros(9),
             largest=np.full((len(self.memories_s) + 1, F), -np.inf),
             detectable=np.full(F, np.inf),
             statistic=np.full(1, -np.inf),

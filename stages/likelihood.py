@@ -33,15 +33,15 @@ SUMS = 7  # A11, A12, A22, b1, b2, q, D
 
 
 @njit(cache=True)
-def tame(e: Array, sigma: Array, S: Array, clip: float) -> Array:  # pragma: no cover - compiled
+def tame(e: Array, sigma: Array, S: Array, clip: float, seen: float) -> Array:  # pragma: no cover - compiled
     """``e`` (points, residuals), where beyond ``clip`` spreads, held within as many of the means that ``S``
-    remembers, zero counting as one independent sample."""
+    remembers. At a log's start, zero counts as one sample beside the ``seen`` independent ones."""
     tamed = e.copy()
     for p in range(e.shape[0]):
         for r in range(e.shape[1]):
             reach = clip * sigma[p, r]
             if abs(e[p, r]) > reach:
-                mean = S[p, r, 3] / (S[p, r, 0] + 1.0 / sigma[p, r] ** 2)
+                mean = S[p, r, 3] / S[p, r, 0] * seen / (seen + 1.0) if S[p, r, 0] > 0 else 0.0
                 tamed[p, r] = min(max(e[p, r], mean - reach), mean + reach)
     return tamed
 

@@ -53,8 +53,9 @@ def test_spikes_are_held_near_the_remembered_mean() -> None:
     S = np.zeros((1, 2, SUMS))
     S[0, 0, [0, 3]] = 1e9, 5e9  # a mean of 5; of the other residual nothing is remembered
     e, sigma = np.array([[50.0, 50.0]]), np.array([[0.5, 0.5]])
-    np.testing.assert_allclose(tame(e, sigma, S, 4.0), [[7.0, 2.0]])
-    np.testing.assert_allclose(tame(e / 50, sigma, S, 4.0), e / 50)  # what is near zero is no spike
+    np.testing.assert_allclose(tame(e, sigma, S, 4.0, 1e9), [[7.0, 2.0]])
+    np.testing.assert_allclose(tame(e, sigma, S, 4.0, 1.0), [[4.5, 2.0]])  # half of it a log's start
+    np.testing.assert_allclose(tame(e / 50, sigma, S, 4.0, 1e9), e / 50)  # what is near zero is no spike
 
 
 @given(st.floats(-0.9, 0.9), st.floats(0.05, 2.0))
