@@ -8,12 +8,15 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
 import threading
+import time
 from collections.abc import Callable
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import suppress
-from multiprocessing import get_context, parent_process
-from multiprocessing.connection import Connection, wait
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection
 from queue import SimpleQueue
 from typing import Any, ParamSpec, Protocol, TypeVar
 
@@ -109,7 +112,7 @@ class _Worker:
     """A process that does one call at a time, started when there is one to do."""
 
     def __init__(self) -> None:
-        self.process: Any = None
+        self.process: subprocess.Popen[bytes] | None = None
 
     def call(self, fn: Callable[..., T], args: Any, kwargs: Any) -> T:
         if self.process is None:
@@ -125,15 +128,22 @@ class _Worker:
 
     def stop(self) -> None:
         if self.process is not None:
-            self.process.terminate()
-            self.process.join()
-            self.process = None
+            process, self.process = self.process, None
+            process.terminate()
+            process.wait()
 
     def _start(self) -> None:
-        context = get_context("spawn")  # threads of libraries do not survive a fork
-        self.pipe, end = context.Pipe()
-        self.process = context.Process(target=_serve, args=(end,), daemon=True)
-        self.process.start()
+        self.pipe, end = Pipe()
+        paths = os.pathsep.join(path or os.getcwd() for path in sys.path)
+        code = f"from pipeline.engines import serve; serve({end.fileno()})"
+        self.process = subprocess.Popen(  # not a fork: the threads of libraries do not survive one
+            [sys.executable, "-c", code],
+            pass_fds=[end.fileno()],
+            env={**dict.fromkeys(ONE_THREAD, "1"), **os.environ, "PYTHONPATH": paths},
+            stdin=subprocess.DEVNULL,
+            stdout=2,  # results are the main process's business
+            start_new_session=True,  # and so is Ctrl-C
+        )
         end.close()
 
     def _end(self) -> str:
@@ -141,8 +151,7 @@ class _Worker:
         process, self.process = self.process, None
         if process is None:
             return "was stopped"
-        process.join()
-        code = process.exitcode or 0
+        code = process.wait()
         if code >= 0:
             return f"ended with status {code}"
         name = signal.Signals(-code).name
@@ -150,12 +159,10 @@ class _Worker:
         return f"was killed by {name}{memory}"
 
 
-def _serve(pipe: Connection) -> None:
-    """Do the calls that come through ``pipe``, until it ends."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the main process's business
-    for variable in ONE_THREAD:  # set before the libraries are imported: one core a process
-        os.environ.setdefault(variable, "1")
-    threading.Thread(target=_follow_parent, daemon=True).start()
+def serve(descriptor: int) -> None:
+    """Do the calls that come through a pipe, until it ends."""
+    threading.Thread(target=_follow, args=(os.getppid(),), daemon=True).start()
+    pipe = Connection(descriptor)
     with suppress(EOFError, OSError):  # the pipe's end
         while True:
             pipe.send(_answer(pipe))
@@ -175,8 +182,8 @@ def _answer(pipe: Connection) -> tuple[bool, Any]:
         return False, error
 
 
-def _follow_parent() -> None:
-    """Leave at once when the parent has gone: what it would have noted of this log, nobody does."""
-    if parent := parent_process():
-        wait([parent.sentinel])
+def _follow(parent: int) -> None:
+    """Leave soon after the parent has gone: what it would have noted of this log, nobody does."""
+    while os.getppid() == parent:
+        time.sleep(0.1)
     os._exit(1)
