@@ -99,13 +99,14 @@ def children(pid: int) -> list[int]:
 
 def speed_up(folder: Path, known: Detector) -> None:
     """Part 2: two processes, and two workers of a cluster, against one."""
-    paths = write_drives(folder / "speed", 120, 900.0, different=12)
-    few = paths[:8]
+    few, many = 10, 60
+    paths = write_drives(folder / "speed", many, 900.0, different=12)
 
     def seconds(options: Options) -> float:
-        run(few, known, folder / "out", options)  # its processes start, its files are in memory
-        per_log = [took(lambda n=n: run(paths[:n], known, folder / "out", options)).wall for n in (20, 120)]
-        return (per_log[1] - per_log[0]) / 100  # without starting
+        """For a log more, once the processes have started."""
+        run(paths[:few], known, folder / "out", options)
+        a, b = (took(lambda n=n: run(paths[:n], known, folder / "out", options)).wall for n in (few, many))
+        return (b - a) / (many - few)
 
     one = seconds(PLAIN)
     two = seconds(replace(PLAIN, workers=2))

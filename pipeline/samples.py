@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left, bisect_right
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cached_property
+from itertools import accumulate
 from pathlib import Path
 
 import polars as pl
+import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ingest.log import TIME
+from ingest.readers.parquet import frame_of
 
 ROWS = 1 << 16  # of a row group
 
@@ -38,10 +42,15 @@ class Stored:
         return self._column(TIME)
 
     def _column(self, column: str) -> pl.Series:
-        return pl.read_parquet(self.path, columns=[column])[column]
+        return frame_of(self.file.read([column]))[column]
 
     def slice(self, offset: int, length: int | None = None) -> pl.DataFrame:
-        return pl.scan_parquet(self.path).slice(offset, length).collect()
+        end = self.height if length is None else min(offset + length, self.height)
+        counts = (self.file.metadata.row_group(i).num_rows for i in range(self.file.num_row_groups))
+        ends = list(accumulate(counts))
+        wanted = range(bisect_right(ends, offset), bisect_left(ends, end) + 1) if offset < end else range(0)
+        before = ends[wanted[0] - 1] if wanted and wanted[0] else 0
+        return frame_of(self.file.read_row_groups(list(wanted))).slice(offset - before, end - offset)
 
 
 class Reader:
@@ -56,7 +65,7 @@ class Reader:
         while not self.rest.height or self.rest[TIME][-1] < time:
             if (batch := next(self.batches, None)) is None:
                 break
-            self.rest = pl.concat([self.rest, pl.DataFrame(pl.from_arrow(batch))])
+            self.rest = pl.concat([self.rest, frame_of(pa.Table.from_batches([batch]))])
         count = int(self.rest[TIME].search_sorted(time, side="left"))
         had, self.rest = self.rest.head(count), self.rest.slice(count)
         return had

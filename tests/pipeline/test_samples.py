@@ -1,0 +1,46 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import polars as pl
+import pytest
+
+from pipeline import samples
+from pipeline.samples import Reader, Stored, writing
+
+
+@pytest.fixture
+def frame() -> pl.DataFrame:
+    return pl.DataFrame({"time": [i / 2 for i in range(1000)], "z.a": [float(i % 7) for i in range(1000)]})
+
+
+@pytest.fixture
+def path(frame: pl.DataFrame, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Written in parts of odd sizes, 100 rows a group or a little more."""
+    monkeypatch.setattr(samples, "ROWS", 100)
+    with writing(tmp_path / "x.parquet") as writer:
+        for start in range(0, 1000, 37):
+            writer.add(frame.slice(start, 37))
+    return tmp_path / "x.parquet"
+
+
+def test_what_is_read_is_what_was_written(frame: pl.DataFrame, path: Path) -> None:
+    stored = Stored(path)
+    assert stored.file.num_row_groups > 5
+    assert (stored.columns, stored.height) == (frame.columns, 1000)
+    for column in frame.columns:
+        assert stored[column].equals(frame[column])
+
+
+@pytest.mark.parametrize("offset", [0, 1, 99, 100, 111, 112, 500, 999, 1000])
+@pytest.mark.parametrize("length", [0, 1, 12, 111, 400, 5000, None])
+def test_slices(frame: pl.DataFrame, path: Path, offset: int, length: int | None) -> None:
+    assert Stored(path).slice(offset, length).equals(frame.slice(offset, length))
+
+
+def test_rows_in_order_of_time_each_once(frame: pl.DataFrame, path: Path) -> None:
+    reader = Reader(path)
+    parts = [reader.before(t) for t in (0.0, 0.2, 10.0, 10.0, 333.3, float("inf"), float("inf"))]
+    assert [p.height for p in parts[:4]] == [0, 1, 19, 0]
+    assert parts[-1].height == 0
+    assert pl.concat(parts).equals(frame)
