@@ -1,7 +1,7 @@
 """What batches withstand and what they cost.
 
-``python -m benchmarks.batch [--part N ...] [--drives N]`` at the top of the repository, on two idle cores. Ratios
-are of times in the same run, on the wall or of the processors (cpu), which others change less.
+``python -m benchmarks.batch [--part N ...] [--drives N]`` at the top of the repository, on two idle cores.
+Ratios are of times in one run, on the wall or of the processors (cpu), which others change less.
 """
 
 from __future__ import annotations
