@@ -37,7 +37,7 @@ class Scores:
         Z, target = fresh.regressors()
         e = target - predict(Z)
         self.rms.append(float(np.sqrt(np.mean(e**2)) / case.noise))
-        self.normal += bool(kstest(e / e.std(), "norm").pvalue > 0.05)
+        self.normal += bool(kstest((e - e.mean()) / e.std(), "norm").pvalue > 0.05)
 
 
 def curved(X: Array, y: Array, _: int) -> Predict:

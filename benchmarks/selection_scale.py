@@ -50,7 +50,7 @@ def _one(case: Case, n: int, first: bool) -> bool:
         show(
             5, f"{n:.0e} rows, {len(case.space.candidates)} candidates: pass over BLAS floor",
             f"{ratio:.2f} ({passed - mapped:.2f} s, {n / (passed - mapped) / 1e6:.1f} Mrows/s)",
-            ratio <= 2,
+            "<= 2", ratio <= 2,
         )  # fmt: skip
         total = searched - clock
         show(

@@ -26,6 +26,7 @@ from stages.gate import GATE
 from stages.gsmms import Combination, Gsmms, fit_gsmms
 from stages.normalise import SUFFIX
 from stages.partition import Growth, Partition
+from stages.select_inputs import SelectInputs
 from stages.stage import Arrays, Stage, add_columns, columns
 
 Values = Mapping[str, NDArray[np.float64]]
@@ -42,7 +43,8 @@ def familiarity(novelty: NDArray[np.float64], known_to: float) -> NDArray[np.flo
 @dataclass(frozen=True, kw_only=True)
 class Relation:
     """``output``, a formula of columns and earlier relations, as a function of ``inputs`` (columns; their
-    normalised copies are the regressors).
+    normalised copies are the regressors). What a stage `select_inputs` selects under the relation's
+    name takes the place of ``inputs``.
 
     ``otherwise``: the inputs where the training logs lack one of ``inputs``; ``where``: a formula, the
     relation holds where it is positive, elsewhere the output is 0 (a closed valve); ``weight``: of a training
@@ -131,7 +133,7 @@ class Relations:
         LogError: the training logs hold too few complete samples.
     """
 
-    version: ClassVar[str] = "1"
+    version: ClassVar[str] = "2"
     learns_from: ClassVar[Literal["training"]] = "training"
     relations: Mapping[str, Relation]
     regime: str
@@ -157,27 +159,38 @@ class Relations:
 
     def inputs(self, name: str) -> tuple[str, ...]:
         """The inputs that a relation was fitted with."""
-        relation = self.relations[name]
-        return relation.otherwise if self.learned[f"{name}/otherwise"] else relation.inputs
+        return tuple(str(n) for n in self.learned[f"{name}/inputs"])
 
     def fit(self, blocks: Sequence[Log], before: Sequence[Sequence[Stage]] = (), /) -> Self:
-        return self._fit(blocks, {})
+        selected: dict[str, tuple[str, ...]] = {}
+        for stage in before[0] if before else ():
+            if isinstance(stage, SelectInputs):
+                selected |= {
+                    name: stage.chosen(name) for name in self.relations.keys() & stage.targets.keys()
+                }
+        return self._fit(blocks, {}, selected)
 
     def refit(self, blocks: Sequence[Log], /) -> Self:
-        return self._fit(blocks, {name: model.partition for name, model in self.models.items()})
+        partitions = {name: model.partition for name, model in self.models.items()}
+        return self._fit(blocks, partitions, {name: self.inputs(name) for name in self.relations})
 
-    def _fit(self, blocks: Sequence[Log], partitions: Mapping[str, Partition]) -> Self:
+    def _fit(
+        self,
+        blocks: Sequence[Log],
+        partitions: Mapping[str, Partition],
+        selected: Mapping[str, tuple[str, ...]],
+    ) -> Self:
         parts = [columns(b) for b in blocks]
         values = {n: np.concatenate([p[n] for p in parts]) for n in parts[0]}
         weight = values.get(GATE, np.ones(len(values[self.map[0]])))
         learned: dict[str, NDArray[Any]] = {}
         for name, relation in self.relations.items():
-            inputs = relation.chosen(values)
+            inputs = selected.get(name) or relation.chosen(values)
             try:
                 model = relation.fit(values, inputs, weight, partitions.get(name))
             except LogError as error:
                 raise LogError(f"relation {name!r}: {error}") from None
-            learned[f"{name}/otherwise"] = np.array(inputs != relation.inputs)
+            learned[f"{name}/inputs"] = np.array(inputs, dtype="U")
             if model is not None:
                 learned |= {f"{name}/{k}": v for k, v in model.to_arrays().items()}
             if name == self.regime:

@@ -10,6 +10,7 @@ from ingest.errors import LogError, RecipeError
 from ingest.log import Group, Log
 from ingest.simulators.examples import STRUCTURES, simulate_example
 from stages.narx import COMBINATIONS, Narx
+from stages.relations import Relation, Relations
 from stages.select_inputs import SelectInputs, Target
 from stages.stage import ANALYSIS, columns, cut, run_stages, transform
 
@@ -115,3 +116,20 @@ def test_wrong_targets_are_refused() -> None:
 
 def test_the_truth_of_the_test_is_that_of_the_simulator() -> None:
     assert STRUCTURES["example2"]["y"]["nk"] == {"u1": 6, "u2": 4, "u3": 0}
+
+
+def test_relations_take_what_was_selected_in_place_of_their_own() -> None:
+    rng = np.random.default_rng(0)
+    a, b, c = rng.uniform(0, 1, size=(3, 2000))
+    y = a * b + 0.01 * rng.normal(size=2000)
+    named = {"y": y, "a": a, "b": b, "c": c, "a.norm": a, "b.norm": b, "c.norm": c}
+    log = Log("x", {ANALYSIS: Group(ANALYSIS, pl.DataFrame({"time": np.arange(2000.0), **named}))})
+    stage = SelectInputs(targets={"f": Target(output="y", inputs=("a", "b", "c"))}).fit([log])
+    relations = Relations(
+        relations={name: Relation(output="y", inputs=("a", "c")) for name in "fg"},
+        regime="f", map=("a", "b"),
+    ).fit([log], [[stage]])  # fmt: skip
+    assert (relations.inputs("f"), relations.inputs("g")) == (("a", "b"), ("a", "c"))
+    assert relations.refit([log]).inputs("f") == ("a", "b")
+    out = columns(transform([stage, relations], log))
+    assert (out["y"] - out["f"]).std() < 0.012 < 0.05 < (out["y"] - out["g"]).std()
