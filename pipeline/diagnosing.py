@@ -8,9 +8,12 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from ingest.log import TIME, Log
+from ingest.log import TIME, Group, Log
 from pipeline.detector import Detector
+from pipeline.recipe import Recipe
+from stages.accommodate import accommodate, at_samples
 from stages.gate import GATE
+from stages.hypotheses import Hypothesis
 from stages.isolate import Isolate
 from stages.monitor import INDICATOR, NOISE, SIGNALS
 from stages.narx import Narx
@@ -46,18 +49,31 @@ def diagnose(
     frame = block.groups[ANALYSIS].frame
     samples = samples_table(frame)
     verdict = judge(log, samples, detector, quality or {})
+    signals = block.groups.get(SIGNALS) or corrected(log, samples, verdict, detector)
+    if signals is not None and SIGNALS not in block.groups:
+        samples = at_samples(signals, samples)
     return Diagnosis(
         log=log, samples=samples, verdict=verdict, units=residual_units(block),
-        operating_map=_operating_map(detector, block), signals=block.groups.get(SIGNALS),
+        operating_map=_operating_map(detector, block), signals=signals,
     )  # fmt: skip
+
+
+def corrected(log: Log, samples: pl.DataFrame, verdict: Verdict, detector: Detector) -> Group | None:
+    """The isolated sensor's readings, raw and corrected, at its own rate; None where none was isolated."""
+    return accommodate(log, samples, verdict.signal, supposed(detector.recipe)) if verdict.signal else None
+
+
+def supposed(recipe: Recipe) -> dict[str, Hypothesis]:
+    """The hypotheses of a recipe's isolation, by fault."""
+    return {f: h for s in recipe.stages if isinstance(s, Isolate) for f, h in s.hypotheses.items()}
 
 
 def judge(log: Log, samples: Table, detector: Detector, quality: Mapping[str, Any]) -> Verdict:
     """The verdict on ``log``, of which only events and facts count, in the words of the detector's recipe."""
     recipe = detector.recipe
-    supposed = {f: h for s in recipe.stages if isinstance(s, Isolate) for f, h in s.hypotheses.items()}
-    channels = {f: h.signal for f, h in supposed.items() if h.signal} | dict(recipe.channels)
-    units = {f: h.unit for f, h in supposed.items()}
+    hypotheses = supposed(recipe)
+    channels = {f: h.signal for f, h in hypotheses.items() if h.signal} | dict(recipe.channels)
+    units = {f: h.unit for f, h in hypotheses.items()}
     words = Judge(min_evidence_s=recipe.min_evidence_s, channels=channels, units=units)
     return words.verdict(log, samples, recipe=recipe.name, detector=detector.key, quality=quality)
 

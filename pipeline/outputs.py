@@ -104,7 +104,8 @@ def annotated(diagnosis: Diagnosis) -> Log:
         "residuals": [c for c in samples.columns if c.startswith((*MEASURED, SIGMA, MODEL_SD, "z."))],
         "verdict": [c for c in samples.columns if c.startswith(("detection", "evidence.", "p."))],
     }
-    kinds["regime"] = [c for c in samples.columns if c not in (TIME, *kinds["residuals"], *kinds["verdict"])]
+    other = [c for c in samples.columns if not c.endswith((CORRECTED, CORRECTED_SD))]
+    kinds["regime"] = [c for c in other if c not in (TIME, *kinds["residuals"], *kinds["verdict"])]
     taken = log.signals
     groups = {
         name: _group(

@@ -14,9 +14,9 @@ Residuals add up. There are at most two shapes for a residual. What a relation i
 is shared by neighbouring samples too, so its remembered mean square ``D / A11`` is added to the first
 ``s^2``.
 
-A spike must not decide. Before it is added, an e beyond ``clip`` spreads is held within as many of its own
-mean over a short memory: clipping e itself would hide the scatter of a large offset, and make wrong
-hypotheses look better than right ones.
+A spike must not decide. Before it is added, an e is held within ``clip`` spreads of what lies between zero
+and its own mean over a short memory. Clipping e itself would hide the scatter of a large offset, and make
+wrong hypotheses look better than right ones; and where a fault begins, the mean is of another time.
 
 The compiler's cache does not see changes in another file: after a change here delete the compiled files of
 :mod:`stages.evidence` (``stages/__pycache__/evidence*.nb*``).
@@ -34,15 +34,15 @@ SUMS = 7  # A11, A12, A22, b1, b2, q, D
 
 @njit(cache=True)
 def tame(e: Array, sigma: Array, S: Array, clip: float, seen: float) -> Array:  # pragma: no cover - compiled
-    """``e`` (points, residuals), where beyond ``clip`` spreads, held within as many of the means that ``S``
-    remembers. At a log's start, zero counts as one sample beside the ``seen`` independent ones."""
+    """``e`` (points, residuals), held within ``clip`` spreads of what lies between zero and the means that
+    ``S`` remembers. At a log's start, zero counts as one sample beside the ``seen`` independent ones."""
     tamed = e.copy()
     for p in range(e.shape[0]):
         for r in range(e.shape[1]):
             reach = clip * sigma[p, r]
             if abs(e[p, r]) > reach:
                 mean = S[p, r, 3] / S[p, r, 0] * seen / (seen + 1.0) if S[p, r, 0] > 0 else 0.0
-                tamed[p, r] = min(max(e[p, r], mean - reach), mean + reach)
+                tamed[p, r] = min(max(e[p, r], min(mean, 0.0) - reach), max(mean, 0.0) + reach)
     return tamed
 
 

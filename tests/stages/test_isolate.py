@@ -169,7 +169,9 @@ def test_a_step_at_rest_is_seen_below_what_differs_from_run_to_run(fitted: list[
     assert seen[False].filter(pl.col("time") < 215)["detection"].sum() == 0
     alarm = seen[True].filter(pl.col("detection") == 1)
     assert 200 < alarm["time"][0] < 215
-    assert alarm["p.flow_gain"].min() > 0.5  # type: ignore[operator]
+    alike = alarm["p.flow_gain"] + alarm["p.leak"]  # which of the two, an idling engine does not tell
+    assert alike.min() > 0.95  # type: ignore[operator]
+    assert alarm["p.flow_gain"].min() > 0.05  # type: ignore[operator]
     assert alarm["size.flow_gain"][0] == pytest.approx(0.03, abs=0.01)
     assert alarm["time"][-1] == seen[True]["time"][-1]
 

@@ -55,6 +55,7 @@ def test_spikes_are_held_near_the_remembered_mean() -> None:
     e, sigma = np.array([[50.0, 50.0]]), np.array([[0.5, 0.5]])
     np.testing.assert_allclose(tame(e, sigma, S, 4.0, 1e9), [[7.0, 2.0]])
     np.testing.assert_allclose(tame(e, sigma, S, 4.0, 1.0), [[4.5, 2.0]])  # half of it a log's start
+    np.testing.assert_allclose(tame(-e, sigma, S, 4.0, 1e9), [[-2.0, -2.0]])  # on the other side of zero
     np.testing.assert_allclose(tame(e / 50, sigma, S, 4.0, 1e9), e / 50)  # what is near zero is no spike
 
 

@@ -1,0 +1,64 @@
+"""Accommodate: what the isolated sensor would have read, its estimated fault undone.
+
+Causal: at a time t the fault is the one that is named at the last sample of the diagnosis up to t, with its
+size theta and standard deviation s then. From there on ``corrected = undo(reading, theta)``, and
+``corrected_sd = |undo(reading, theta + s) - corrected|``; before, and where another fault is named or none
+with a probability of ``MIN_PROBABILITY``, the reading stands as it is, with 0. (1.1) and (2.3) ask for it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import polars as pl
+from numpy.typing import NDArray
+
+from ingest.log import TIME, Group, Log, Signal
+from stages.compensate import CORRECTED, CORRECTED_SD
+from stages.hypotheses import THETA, Hypothesis
+from stages.results import DETECTION, PROBABILITY, SIZE, SIZE_SD, UNKNOWN
+
+Array = NDArray[np.float64]
+MIN_PROBABILITY = 0.5
+
+
+def accommodate(
+    log: Log, samples: pl.DataFrame, signal: str, hypotheses: Mapping[str, Hypothesis]
+) -> Group | None:
+    """``signal`` at its own rate as it was read, ``<signal>.corrected`` and ``<signal>.corrected_sd``; None
+    where no hypothesis says how to correct its readings, or there are no samples."""
+    concerned = {
+        fault: h
+        for fault, h in hypotheses.items()
+        if h.signal == signal and signal in h.formulas and h.needs <= {signal}
+    }
+    if not concerned or not samples.height or signal not in log.signals:
+        return None
+    group = log.group_of(signal)
+    reading = log.values(signal)
+    row = np.searchsorted(samples[TIME].to_numpy(), group.time, side="right") - 1
+    faults = [*hypotheses, UNKNOWN]
+    p = samples.select(PROBABILITY + f for f in faults).to_numpy()
+    named = np.where(
+        (samples[DETECTION].to_numpy() > 0) & (p.max(axis=1) >= MIN_PROBABILITY), p.argmax(axis=1), -1
+    )
+    corrected, sd = reading.copy(), np.zeros_like(reading)
+    for fault, hypothesis in concerned.items():
+        here = (row >= 0) & (named[row] == faults.index(fault))
+        size, width = (samples[kind + fault].to_numpy()[row[here]] for kind in (SIZE, SIZE_SD))
+        undo = hypothesis.formulas[signal]
+        corrected[here] = undo({signal: reading[here], THETA: size})
+        sd[here] = np.abs(undo({signal: reading[here], THETA: size + width}) - corrected[here])
+    names = [signal, signal + CORRECTED, signal + CORRECTED_SD]
+    frame = pl.DataFrame({TIME: group.time, **dict(zip(names, (reading, corrected, sd), strict=True))})
+    unit = group.signals[signal].unit
+    return Group("corrected", frame, {n: Signal(name=n, unit=unit) for n in names})
+
+
+def at_samples(group: Group, samples: pl.DataFrame) -> pl.DataFrame:
+    """``samples`` with the last corrected values up to each of their rows."""
+    names = [c for c in group.frame.columns if c.endswith((CORRECTED, CORRECTED_SD))]
+    row = np.searchsorted(group.time, samples[TIME].to_numpy(), side="right") - 1
+    values = {n: np.where(row >= 0, group.frame[n].to_numpy()[row], np.nan) for n in names}
+    return samples.with_columns(pl.Series(n, x, nan_to_null=True) for n, x in values.items())

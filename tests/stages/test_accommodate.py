@@ -1,0 +1,72 @@
+"""The isolated sensor's readings, corrected from the isolation on and not before."""
+
+from __future__ import annotations
+
+import numpy as np
+import polars as pl
+
+from ingest.log import Group, Log
+from stages.accommodate import accommodate, at_samples
+from stages.hypotheses import Hypothesis
+
+HYPOTHESES = {
+    "gain": Hypothesis(undo={"p": "p / (1 + theta)"}, sizes=(-0.1, 0.1), signal="p"),
+    "leak": Hypothesis(undo={"leak": "theta"}, sizes=(1.0, 2.0), unit="mm"),
+}
+TIME = np.arange(0, 100, 0.02)
+TRUE = 100 + 10 * np.sin(TIME)
+LOG = Log(
+    "x", {"ecu": Group("ecu", pl.DataFrame({"time": TIME, "p": np.where(TIME >= 30, 1.05 * TRUE, TRUE)}))}
+)
+
+
+def samples(fault: str, at: float = 40.0, p: float = 0.9) -> pl.DataFrame:
+    """A diagnosis every half second that names ``fault`` from ``at`` s on."""
+    t = np.arange(0, 100, 0.5)
+    on = t >= at
+    share = {f: p if f == fault else (1 - p) / 2 for f in ("gain", "leak", "unknown")}
+    return pl.DataFrame(
+        {
+            "time": t,
+            "detection": on.astype(np.int8),
+            **{f"p.{f}": np.where(on, x, 0.0) for f, x in share.items()},
+            **{f"size.{f}": np.full(t.size, 0.048) for f in HYPOTHESES},
+            **{f"size_sd.{f}": np.full(t.size, 0.002) for f in HYPOTHESES},
+        }
+    )
+
+
+def test_the_reading_is_corrected_from_the_isolation_on() -> None:
+    group = accommodate(LOG, samples("gain"), "p", HYPOTHESES)
+    assert group is not None
+    raw, corrected, sd = (group.frame[c].to_numpy() for c in ("p", "p.corrected", "p.corrected_sd"))
+    late = TIME >= 40
+    np.testing.assert_array_equal(corrected[~late], raw[~late])
+    assert (sd[~late] == 0).all()
+    error, before = np.abs(corrected - TRUE)[late], np.abs(raw - TRUE)[late]
+    assert np.sqrt(np.mean(before**2)) > 5 * np.sqrt(np.mean(error**2))
+    np.testing.assert_allclose(sd[late], 0.0019 * TRUE[late], rtol=0.05)
+    assert (error < 2 * sd[late]).all()
+
+
+def test_another_fault_or_a_doubtful_one_corrects_nothing() -> None:
+    for frame in (samples("leak"), samples("gain", p=0.4)):
+        group = accommodate(LOG, frame, "p", HYPOTHESES)
+        assert group is not None
+        assert group.frame["p.corrected"].equals(group.frame["p"], null_equal=True)
+
+
+def test_a_fault_that_is_no_sensors_has_no_correction() -> None:
+    assert accommodate(LOG, samples("leak"), "leak", HYPOTHESES) is None
+    assert accommodate(LOG, samples("gain").clear(), "p", HYPOTHESES) is None
+
+
+def test_samples_take_the_last_value() -> None:
+    frame = samples("gain")
+    group = accommodate(LOG, frame, "p", HYPOTHESES)
+    assert group is not None
+    out = at_samples(group, frame)
+    k = int(np.searchsorted(TIME, 50.0, side="right")) - 1
+    row = out.filter(pl.col("time") == 50.0)
+    assert row["p.corrected"][0] == group.frame["p.corrected"][k]
+    assert out.height == frame.height
