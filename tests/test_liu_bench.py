@@ -25,7 +25,6 @@ ONSET = {
     "maf_gain": ("wltp_f_waf_105", 121.7),
     "intake_leak": ("wltp_f_iml_6mm", 117.65),
 }
-LARGE = ("boost_pressure_gain", "intake_pressure_gain", "intake_leak")
 pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(not LOGS.is_dir(), reason="the LiU-ICE logs are not beside the repository"),
@@ -74,10 +73,10 @@ def test_every_fault_is_detected_after_its_onset(whole: Rows, fault: str) -> Non
     assert whole[name]["detected_s"] >= onset
 
 
-@pytest.mark.parametrize("fault", LARGE)
-def test_large_faults_are_detected_soon_and_named(whole: Rows, fault: str) -> None:
+@pytest.mark.parametrize("fault", ONSET)
+def test_faults_are_detected_soon_and_named(whole: Rows, fault: str) -> None:
     name, onset = ONSET[fault]
-    assert whole[name]["detected_s"] < onset + 40
+    assert whole[name]["detected_s"] < onset + 20
     assert whole[name]["fault"] == fault
 
 
@@ -88,7 +87,6 @@ def test_no_alarm_over_the_half_that_was_not_seen(half: tuple[Rows, Path, float]
     assert samples["detection"].sum() == 0
 
 
-@pytest.mark.xfail(strict=False, reason="the start of a log in the middle of a drive can raise a false alarm")
 def test_no_alarm_over_that_half_as_a_log_of_its_own(half: tuple[Rows, Path, float]) -> None:
     assert half[0]["second"]["fault"] == "none"
 
@@ -97,9 +95,9 @@ def test_the_half_detector_detects_every_fault(half: tuple[Rows, Path, float]) -
     assert all(half[0][name]["detected_s"] is not None for name, _ in ONSET.values())
 
 
-@pytest.mark.parametrize("fault", LARGE)
-def test_large_faults_are_named_by_the_half_detector(half: tuple[Rows, Path, float], fault: str) -> None:
+@pytest.mark.parametrize("fault", ONSET)
+def test_faults_are_named_by_the_half_detector(half: tuple[Rows, Path, float], fault: str) -> None:
     rows, _, _ = half
     name, onset = ONSET[fault]
     assert rows[name]["fault"] == fault
-    assert onset <= rows[name]["detected_s"] < onset + 40
+    assert onset <= rows[name]["detected_s"] < onset + 20
