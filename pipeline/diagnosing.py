@@ -11,7 +11,7 @@ import polars as pl
 from ingest.log import TIME, Group, Log
 from pipeline.detector import Detector
 from pipeline.recipe import Recipe
-from stages.accommodate import accommodate, at_samples
+from stages.accommodate import accommodate
 from stages.gate import GATE
 from stages.hypotheses import Hypothesis
 from stages.isolate import Isolate
@@ -50,8 +50,6 @@ def diagnose(
     samples = samples_table(frame)
     verdict = judge(log, samples, detector, quality or {})
     signals = block.groups.get(SIGNALS) or corrected(log, samples, verdict, detector)
-    if signals is not None and SIGNALS not in block.groups:
-        samples = at_samples(signals, samples)
     return Diagnosis(
         log=log, samples=samples, verdict=verdict, units=residual_units(block),
         operating_map=_operating_map(detector, block), signals=signals,

@@ -8,12 +8,14 @@ no timeline: a recording of such a log would be too large to look at.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import polars as pl
 
 from ingest.blocks import follow
 from ingest.errors import LogError
@@ -22,7 +24,7 @@ from ingest.quality import Quality
 from ingest.recording import recording
 from ingest.report import quality, with_quality
 from pipeline.detector import Detector
-from pipeline.diagnosing import judge, residual_units, samples_table
+from pipeline.diagnosing import corrected, judge, residual_units, samples_table
 from pipeline.outputs import ANNOTATED, SAMPLES, SIGNALS, VERDICT, annotated, to_json
 from pipeline.samples import Reader, Stored, Writer, writing
 from stages.monitor import SIGNALS as MONITORED
@@ -57,7 +59,7 @@ def diagnose_parts(
     verdict = judge(log, stored := Stored(draft / SAMPLES), detector, quality(log, seen.quality))
     (draft / VERDICT).write_text(to_json(verdict.to_json()), encoding="utf-8")
     made = Diagnosis(log=log, samples=stored.slice(0, 0), verdict=verdict, units=units, signals=signals)
-    _annotate(made, named(), draft)
+    _annotate(made, named(), draft, detector)
     start, end = seen.quality.span or (0.0, 0.0)
     return log, end - start
 
@@ -96,19 +98,30 @@ def _added(block: Log, writer: Writer) -> Group | None:
     return replace(group, frame=group.frame.clear())
 
 
-def _annotate(made: Diagnosis, parts: Iterator[Log], draft: Path) -> None:
-    """``annotated.mcap``, part by part: the samples beside the rows of the same time."""
+def _annotate(made: Diagnosis, parts: Iterator[Log], draft: Path, detector: Detector) -> None:
+    """``annotated.mcap``, part by part: the samples beside the rows of the same time, and the readings of an
+    isolated sensor corrected."""
     part: Log | None = next(parts)
-    samples = Reader(draft / SAMPLES)
-    signals = Reader(draft / SIGNALS) if made.signals else None
-    with recording(draft / ANNOTATED, annotated(replace(made, log=part or made.log))) as recorder:
+    samples, last = Reader(draft / SAMPLES), made.samples
+    monitored = Reader(draft / SIGNALS) if made.signals else None
+    if monitored is None and part is not None:
+        group = corrected(part, made.samples, made.verdict, detector)
+        made = replace(made, signals=group and replace(group, frame=group.frame.clear()))
+    with (
+        recording(draft / ANNOTATED, annotated(replace(made, log=part or made.log))) as recorder,
+        writing(draft / SIGNALS) if monitored is None else nullcontext() as added,
+    ):
         while part is not None:
             following = next(parts, None)
             rows = [float(g.time[-1]) for g in part.groups.values() if g.frame.height]
             end = np.inf if following is None else max(rows, default=-np.inf)
             beside = replace(made, log=part, samples=samples.before(end))
-            if signals is not None and made.signals is not None:
-                beside = replace(beside, signals=replace(made.signals, frame=signals.before(end)))
+            last = pl.concat([last, beside.samples])
+            if monitored is not None and made.signals is not None:
+                beside = replace(beside, signals=replace(made.signals, frame=monitored.before(end)))
+            elif added is not None and made.signals is not None:
+                beside = replace(beside, signals=corrected(part, last, made.verdict, detector))
+                added.add(beside.signals.frame if beside.signals else made.signals.frame)
             recorder.add(annotated(beside))
-            part = following
+            part, last = following, last.tail(1)
         recorder.finish(annotated(made), {})

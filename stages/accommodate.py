@@ -27,25 +27,24 @@ def accommodate(
     log: Log, samples: pl.DataFrame, signal: str, hypotheses: Mapping[str, Hypothesis]
 ) -> Group | None:
     """``signal`` at its own rate as it was read, ``<signal>.corrected`` and ``<signal>.corrected_sd``; None
-    where no hypothesis says how to correct its readings, or there are no samples."""
+    where no hypothesis says how to correct its readings."""
     concerned = {
         fault: h
         for fault, h in hypotheses.items()
         if h.signal == signal and signal in h.formulas and h.needs <= {signal}
     }
-    if not concerned or not samples.height or signal not in log.signals:
+    if not concerned or signal not in log.signals:
         return None
     group = log.group_of(signal)
     reading = log.values(signal)
     row = np.searchsorted(samples[TIME].to_numpy(), group.time, side="right") - 1
     faults = [*hypotheses, UNKNOWN]
     p = samples.select(PROBABILITY + f for f in faults).to_numpy()
-    named = np.where(
-        (samples[DETECTION].to_numpy() > 0) & (p.max(axis=1) >= MIN_PROBABILITY), p.argmax(axis=1), -1
-    )
+    sure = (samples[DETECTION].to_numpy() > 0) & (p.max(axis=1) >= MIN_PROBABILITY)
+    named = np.append(np.where(sure, p.argmax(axis=1), -1), -1)  # the last for what comes before all samples
     corrected, sd = reading.copy(), np.zeros_like(reading)
     for fault, hypothesis in concerned.items():
-        here = (row >= 0) & (named[row] == faults.index(fault))
+        here = named[row] == faults.index(fault)
         size, width = (samples[kind + fault].to_numpy()[row[here]] for kind in (SIZE, SIZE_SD))
         undo = hypothesis.formulas[signal]
         corrected[here] = undo({signal: reading[here], THETA: size})
@@ -54,11 +53,3 @@ def accommodate(
     frame = pl.DataFrame({TIME: group.time, **dict(zip(names, (reading, corrected, sd), strict=True))})
     unit = group.signals[signal].unit
     return Group("corrected", frame, {n: Signal(name=n, unit=unit) for n in names})
-
-
-def at_samples(group: Group, samples: pl.DataFrame) -> pl.DataFrame:
-    """``samples`` with the last corrected values up to each of their rows."""
-    names = [c for c in group.frame.columns if c.endswith((CORRECTED, CORRECTED_SD))]
-    row = np.searchsorted(group.time, samples[TIME].to_numpy(), side="right") - 1
-    values = {n: np.where(row >= 0, group.frame[n].to_numpy()[row], np.nan) for n in names}
-    return samples.with_columns(pl.Series(n, x, nan_to_null=True) for n, x in values.items())

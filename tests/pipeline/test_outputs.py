@@ -19,7 +19,7 @@ from pipeline.outputs import to_json, write_run
 from pipeline.recipe import Recipe
 from stages.results import Diagnosis
 
-FILES = {"samples.parquet", "verdict.json", "annotated.mcap", "manifest.json"}
+FILES = {"samples.parquet", "signals.parquet", "verdict.json", "annotated.mcap", "manifest.json"}
 VERDICT_KEYS = (
     "log recipe detector fault signal set probability onset_s detected_s magnitude detectable events quality "
     "statistics"

@@ -57,6 +57,10 @@ def test_the_result_does_not_depend_on_the_parts(
     assert row == pytest.approx(expected)
     out, one = tmp_path / "out" / "faulty", tmp_path / "whole" / "faulty"
     assert_same(pl.read_parquet(out / "samples.parquet"), pl.read_parquet(one / "samples.parquet"))
+    signals, known_signals = (pl.read_parquet(f / "signals.parquet") for f in (out, one))
+    assert signals["W_HFM"].equals(known_signals["W_HFM"])
+    ratio = (signals["W_HFM.corrected"] / known_signals["W_HFM.corrected"]).to_numpy()
+    assert (np.abs(ratio - 1) > 1e-3).sum() <= signals.height // size + 1  # at most at the ends of parts
     verdict, judged = (json.loads((f / "verdict.json").read_text()) for f in (out, one))
     assert verdict["quality"].keys() == judged["quality"].keys()
     for name in ("W_HFM", "p_Int"):

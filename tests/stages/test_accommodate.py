@@ -6,7 +6,7 @@ import numpy as np
 import polars as pl
 
 from ingest.log import Group, Log
-from stages.accommodate import accommodate, at_samples
+from stages.accommodate import accommodate
 from stages.hypotheses import Hypothesis
 
 HYPOTHESES = {
@@ -58,15 +58,9 @@ def test_another_fault_or_a_doubtful_one_corrects_nothing() -> None:
 
 def test_a_fault_that_is_no_sensors_has_no_correction() -> None:
     assert accommodate(LOG, samples("leak"), "leak", HYPOTHESES) is None
-    assert accommodate(LOG, samples("gain").clear(), "p", HYPOTHESES) is None
 
 
-def test_samples_take_the_last_value() -> None:
-    frame = samples("gain")
-    group = accommodate(LOG, frame, "p", HYPOTHESES)
+def test_without_samples_nothing_is_corrected() -> None:
+    group = accommodate(LOG, samples("gain").clear(), "p", HYPOTHESES)
     assert group is not None
-    out = at_samples(group, frame)
-    k = int(np.searchsorted(TIME, 50.0, side="right")) - 1
-    row = out.filter(pl.col("time") == 50.0)
-    assert row["p.corrected"][0] == group.frame["p.corrected"][k]
-    assert out.height == frame.height
+    assert group.frame["p.corrected"].equals(group.frame["p"])
