@@ -47,7 +47,7 @@ class Align:
         LogError: a signal is not in the log, or is not numeric.
     """
 
-    version: ClassVar[str] = "1"
+    version: ClassVar[str] = "2"
     signals: tuple[str, ...]
     optional: tuple[str, ...] = ()
     raster_s: float = 0.0

@@ -23,6 +23,7 @@ from stages.size_grid import Grid
 
 Array = NDArray[np.float64]
 ALARM, HELD, NAMED, SIZE, EVIDENCE, SINCE, DECIDED, RESTED, SEEN = range(9)  # clocks
+CLOCKS = 9
 QUANTILE = 1.645  # 95 % of a normal deviate lie below
 
 
@@ -140,11 +141,12 @@ def remember(
     e = between(rows.e[row], grid.left, grid.right, grid.share)
     sigma = between(rows.sigma[row], grid.left, grid.right, grid.share)
     doubt = between(rows.doubt[row], grid.left, grid.right, grid.share)
+    ln_sigma = np.log(sigma)
     tamed = tame(e, sigma, S[1, :-1], settings.clip, memory.clocks[SEEN])
     memory.clocks[SEEN] += min(dt, settings.correlation) / settings.correlation
-    for i in range(len(S)):
-        add_sample(S[i, :-1], tamed, sigma, doubt, rows.shapes[row], weight)
-        add_sample(S[i, -1:], e[:1], sigma[:1], doubt[:1], rows.shapes[row], weight)
+    for i in range(len(S) if len(settings.ages) else len(S) - 1):
+        add_sample(S[i, :-1], tamed, sigma, ln_sigma, doubt, rows.shapes[row], weight)
+        add_sample(S[i, -1:], e[:1], sigma[:1], ln_sigma[:1], doubt[:1], rows.shapes[row], weight)
 
 
 @njit(cache=True)
@@ -172,21 +174,12 @@ def step_likelihoods(
 
 @njit(cache=True)
 def note_rest(memory: Memory) -> None:  # pragma: no cover - compiled
-    """Keep the rest's sums about every second, the oldest making place."""
-    now, newest, oldest = memory.clocks[RESTED], -np.inf, 0
-    for i in range(len(memory.times)):
-        if memory.times[i] == np.inf:
-            oldest = i
-            break
-        newest = max(newest, memory.times[i])
-        if memory.times[i] < memory.times[oldest]:
-            oldest = i
-    for i in range(len(memory.times)):
-        if memory.times[i] < np.inf:
-            newest = max(newest, memory.times[i])
-    if now > 0 and now >= newest + 1.0:
-        memory.earlier[oldest] = memory.S[-1]
-        memory.times[oldest] = now
+    """Keep the rest's sums once a second, in a ring that is longer than the greatest age of a step."""
+    now = memory.clocks[RESTED]
+    slot = int(now) % len(memory.times)
+    if now > 0 and np.floor(now) != np.floor(memory.times[slot]):
+        memory.earlier[slot] = memory.S[-1]
+        memory.times[slot] = now
 
 
 @njit(cache=True)
@@ -196,14 +189,16 @@ def note_detectable(
     """Lower ``detectable`` to the sizes that would have been seen at 95 % in what ``L`` remembers.
 
     By symmetry a fault would gain over being healthy what being healthy gains over the fault, ``G``. A gain
-    of mean m has standard deviation ``sqrt(2 m)``, and goes with the square of the size.
+    of mean m has standard deviation ``sqrt(2 m)``, and goes with the square of the size, where size 0 is
+    being healthy.
     """
     for f in range(len(detectable)):
+        from_zero = np.any(grid.points[f, : grid.counts[f]] == 0)
         needed = 0.5 * (QUANTILE + np.sqrt(QUANTILE**2 + 2.0 * threshold[f])) ** 2
         for k in range(grid.counts[f]):
             gain = L[0] - L[grid.points[f, k]]
             if gain >= needed:
-                size = abs(grid.sizes[f, k]) * np.sqrt(needed / gain)
+                size = abs(grid.sizes[f, k]) * (np.sqrt(needed / gain) if from_zero else 1.0)
                 detectable[f] = min(detectable[f], size)
 
 
@@ -288,7 +283,8 @@ def follow(
             elapsed = clocks[DECIDED]
             clocks[DECIDED] = 0.0
             decide(memory, settings, grid, elapsed)
-            note_rest(memory)
+            if len(settings.ages):
+                note_rest(memory)
             if clocks[ALARM] == 1:
                 judge(memory, settings, grid)
             else:

@@ -39,7 +39,7 @@ class Gate:
         RecipeError: a rate is not positive.
     """
 
-    version: ClassVar[str] = "1"
+    version: ClassVar[str] = "2"
     rate_per_s: Mapping[str, float]
     change_per_s: Mapping[str, float] = field(default_factory=dict)
     within_s: float = 1.0

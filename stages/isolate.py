@@ -35,7 +35,7 @@ from numpy.typing import NDArray
 
 from ingest.errors import RecipeError
 from ingest.log import TIME, Log
-from stages.evidence import Memory, Rows, Settings, follow
+from stages.evidence import CLOCKS, Memory, Rows, Settings, follow
 from stages.formula import Formula
 from stages.gate import GATE
 from stages.hypotheses import Drift, Hypothesis, Points
@@ -73,7 +73,7 @@ class Isolate:
             before this stage; nothing learned yet.
     """
 
-    version: ClassVar[str] = "1"
+    version: ClassVar[str] = "2"
     learns_from: ClassVar[Literal["calibration"]] = "calibration"
     hypotheses: Mapping[str, Hypothesis]
     drifts: Mapping[str, Drift] = field(default_factory=dict)
@@ -134,7 +134,7 @@ class Isolate:
                 break
             chain.insert(0, stage)
         known = [r for stage in chain if isinstance(stage, Residuals) for r in stage.residuals]
-        residuals = [r for r in known if r in self.residuals] if self.residuals else known
+        residuals = self._judged(known)
         if not residuals:
             raise RecipeError(
                 "isolate: put it right after the stages regressors, normalise, relations, residuals"
@@ -145,7 +145,7 @@ class Isolate:
     def fit(self, blocks: Sequence[Log], before: Sequence[Sequence[Stage]] = (), /) -> Self:
         shape = (len(self.memories_s) + 1, len(self.hypotheses))
         largest = np.zeros(shape)
-        judged = self._judged(blocks)
+        judged = self._judged(residual_names(blocks[0]))
         given = np.array([self.offsets.get(r, {}).get("1", 0.0) for r in judged])
         learned = {"offset_sd": offset_sd(blocks, judged, given, self.memories_s[-2], self.correlation_s)}
         silent = replace(self, learned={"threshold": np.full(shape, np.inf), **learned})
@@ -156,9 +156,8 @@ class Isolate:
         threshold = np.maximum(largest + self.margin, least[:, None])
         return replace(self, learned={"threshold": threshold, **learned})
 
-    def _judged(self, blocks: Sequence[Log]) -> list[str]:
-        known = residual_names(blocks[0])
-        return [r for r in known if r in self.residuals] if self.residuals else known
+    def _judged(self, known: Sequence[str]) -> list[str]:
+        return [r for r in known if r in self.residuals] if self.residuals else [*known]
 
     def refit(self, blocks: Sequence[Log], /) -> Self:
         return self
@@ -167,13 +166,14 @@ class Isolate:
         if "threshold" not in self.learned:
             raise RecipeError("isolate: nothing learned yet; fit it first")
         F, R, points = len(self.hypotheses), len(self.points.residuals), len(self._grid.left) + 1
+        seconds = int(max(self.step_ages_s)) + 2
         memory = Memory(
             S=np.zeros((len(self.memories_s) + 2, points, R, SUMS)),
-            earlier=np.zeros((int(max(self.step_ages_s)) + 2, points, R, SUMS)),
-            times=np.full(int(max(self.step_ages_s)) + 2, np.inf),
+            earlier=np.zeros((seconds if self.rest else 0, points, R, SUMS)),
+            times=np.full(seconds if self.rest else 0, np.inf),
             place=np.full(len(self.rest), np.nan),
             kept=np.zeros(points),
-            clocks=np.zeros(9),
+            clocks=np.zeros(CLOCKS),
             largest=np.full((len(self.memories_s) + 1, F), -np.inf),
             detectable=np.full(F, np.inf),
             statistic=np.full(1, -np.inf),

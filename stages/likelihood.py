@@ -48,7 +48,7 @@ def tame(e: Array, sigma: Array, S: Array, clip: float, seen: float) -> Array:  
 
 @njit(cache=True)
 def add_sample(
-    S: Array, e: Array, sigma: Array, doubt: Array, shapes: Array, weights: Array
+    S: Array, e: Array, sigma: Array, ln_sigma: Array, doubt: Array, shapes: Array, weights: Array
 ) -> None:  # pragma: no cover - compiled
     """Add one row to the sums ``S`` (points, residuals, SUMS) of one memory, in place."""
     for p in range(e.shape[0]):
@@ -64,7 +64,7 @@ def add_sample(
             S[p, r, 2] += w * h2 * h2
             S[p, r, 3] += w * h1 * x
             S[p, r, 4] += w * h2 * x
-            S[p, r, 5] += w * x * x + weight * 2.0 * np.log(s)
+            S[p, r, 5] += w * x * x + weight * 2.0 * ln_sigma[p, r]
             S[p, r, 6] += w * h1 * h1 * doubt[p, r] ** 2
 
 

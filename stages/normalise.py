@@ -31,7 +31,7 @@ class Normalise:
         LogError: a column is constant or missing throughout the training logs.
     """
 
-    version: ClassVar[str] = "1"
+    version: ClassVar[str] = "2"
     learns_from: ClassVar[Literal["training"]] = "training"
     columns: tuple[str, ...]
     optional: tuple[str, ...] = ()

@@ -41,7 +41,7 @@ class Residuals:
         LogError: a residual has no value in the calibration logs.
     """
 
-    version: ClassVar[str] = "1"
+    version: ClassVar[str] = "2"
     learns_from: ClassVar[Literal["calibration"]] = "calibration"
     residuals: Mapping[str, str]
     units: Mapping[str, str] = field(default_factory=dict)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 import subprocess
 import sys
 import time
@@ -63,10 +64,11 @@ def test_help_is_fast_and_imports_nothing_heavy() -> None:
 
 
 def test_no_word_of_other_places() -> None:
-    """Nothing that is shipped names a folder outside the repository or a registry."""
+    """Nothing that is shipped names a folder outside the repository, and the constraints name no address."""
     for room in (*ROOMS, "data", "docs"):
         for path in (ROOT / room).rglob("*"):
             if path.suffix in (".py", ".toml", ".md"):
                 text = path.read_text(encoding="utf-8")
                 assert "../shared" not in text, path
-                assert "index-url" not in text, path
+    for line in (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines():
+        assert re.fullmatch(r"[A-Za-z0-9_.-]+==[0-9A-Za-z.+]+|#.*|", line), line

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -39,6 +40,12 @@ def faulty() -> Log:
 def detector(healthy: list[Log], recipe: Recipe) -> Detector:
     """Fitted on one drive, calibrated on another."""
     return fit(healthy[:1], recipe, healthy[1:])
+
+
+@pytest.fixture(scope="session")
+def second(healthy: list[Log], recipe: Recipe) -> Detector:
+    """Another detector of the same recipe."""
+    return fit([replace(healthy[0], name="again")], recipe, healthy[1:])
 
 
 @pytest.fixture(scope="session")

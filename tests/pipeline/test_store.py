@@ -1,24 +1,15 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from ingest.errors import StoreError
-from ingest.log import Log
-from pipeline import fit
 from pipeline.detector import Detector
-from pipeline.recipe import Recipe
 from pipeline.store import Store
 
 NAME = "diesel_airpath"
-
-
-@pytest.fixture(scope="module")
-def second(healthy: list[Log], recipe: Recipe) -> Detector:
-    return fit([replace(healthy[0], name="again")], recipe, healthy[1:])
 
 
 @pytest.fixture

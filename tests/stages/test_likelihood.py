@@ -11,6 +11,10 @@ from scipy.stats import multivariate_normal
 from stages.likelihood import SUMS, add_sample, between, log_likelihood, peak, tame
 
 
+def add(S: np.ndarray, e: np.ndarray, sigma: np.ndarray, doubt: np.ndarray, shapes: np.ndarray) -> None:
+    add_sample(S, e, sigma, np.log(sigma), doubt, shapes, np.ones(e.shape[1]))
+
+
 @pytest.mark.parametrize("sd", [(0.0, 0.0), (0.3, 0.0), (0.3, 0.7)])
 def test_log_likelihood_is_that_of_the_marginal_normal(sd: tuple[float, float]) -> None:
     """e = c1 h1 + c2 h2 + noise with normal c: independent rows share their offsets."""
@@ -21,7 +25,15 @@ def test_log_likelihood_is_that_of_the_marginal_normal(sd: tuple[float, float]) 
     S = np.zeros((1, 1, SUMS))
     for k in range(n):
         shapes = np.array([[1.0, shape[k]]])
-        add_sample(S, e[k].reshape(1, 1), sigma[k].reshape(1, 1), np.zeros((1, 1)), shapes, np.ones(1))
+        add_sample(
+            S,
+            e[k].reshape(1, 1),
+            sigma[k].reshape(1, 1),
+            np.log(sigma[k]).reshape(1, 1),
+            np.zeros((1, 1)),
+            shapes,
+            np.ones(1),
+        )
     H = np.column_stack([np.ones(n), shape])
     covariance = np.diag(sigma**2) + H @ np.diag(np.square(sd)) @ H.T
     expected = multivariate_normal(np.zeros(n), covariance).logpdf(e) + n / 2 * np.log(2 * np.pi)
@@ -32,7 +44,13 @@ def test_doubt_is_an_offset_of_its_own() -> None:
     S = np.zeros((1, 1, SUMS))
     for e in (0.5, 0.6, 0.4):
         add_sample(
-            S, np.array([[e]]), np.array([[0.1]]), np.array([[0.3]]), np.array([[1.0, 0.0]]), np.ones(1)
+            S,
+            np.array([[e]]),
+            np.array([[0.1]]),
+            np.log([[0.1]]),
+            np.array([[0.3]]),
+            np.array([[1.0, 0.0]]),
+            np.ones(1),
         )
     plain = S.copy()
     plain[..., 6] = 0.0
@@ -44,7 +62,9 @@ def test_doubt_is_an_offset_of_its_own() -> None:
 def test_missing_values_say_nothing() -> None:
     S = np.zeros((1, 2, SUMS))
     e = np.array([[3.0, np.nan]])
-    add_sample(S, e, np.ones((1, 2)), np.zeros((1, 2)), np.array([[1.0, 0.0]] * 2), np.ones(2))
+    add_sample(
+        S, e, np.ones((1, 2)), np.zeros((1, 2)), np.zeros((1, 2)), np.array([[1.0, 0.0]] * 2), np.ones(2)
+    )
     assert S[0, 0, 5] == 9.0
     assert (S[0, 1] == 0).all()
 

@@ -4,25 +4,16 @@ import json
 import shutil
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from ingest.log import Log
-from pipeline import fit
 from pipeline.cli import main
 from pipeline.detector import Detector
-from pipeline.recipe import Recipe
 from pipeline.store import Store
 
 NAME = "diesel_airpath"
-
-
-@pytest.fixture(scope="module")
-def second(healthy: list[Log], recipe: Recipe) -> Detector:
-    return fit([replace(healthy[0], name="again")], recipe, healthy[1:])
 
 
 @pytest.fixture
