@@ -8,7 +8,6 @@ import zipfile
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -17,15 +16,13 @@ from numpy.typing import NDArray
 
 from ingest.errors import RecipeError, StoreError
 from ingest.log import Log
-from pipeline.digest import arrays_sha256, digest
+from pipeline.digest import arrays_sha256
 from pipeline.files import write_aside
 from pipeline.recipe import Recipe, build_recipe
+from pipeline.records import FORMAT, key_of, new_record, seal
 from pipeline.template import bound, with_signals
-from stages.narx import COMBINATIONS, Narx
-from stages.select_inputs import SelectInputs
 from stages.stage import Learner, Stage, connected
 
-FORMAT = 1
 # what numpy's reader raises on damaged files, besides its own ValueError
 DAMAGE = (OSError, ValueError, EOFError, KeyError, RuntimeError, MemoryError, zipfile.BadZipFile, zlib.error)
 
@@ -62,42 +59,12 @@ def new_detector(
     training: Sequence[Log],
     calibration: Sequence[Log],
     notes: Sequence[str],
+    origin: Mapping[str, Any] | None = None,
 ) -> Detector:
-    """A detector from fitted stages, with its record and key."""
+    """A detector from fitted stages, with its record and key; ``origin``: how it came about, if not by a
+    fit alone."""
     draft = Detector(recipe=recipe, stages=tuple(connected(stages)), record={})
-    content: dict[str, Any] = {
-        "format": FORMAT,
-        "recipe": recipe.name,
-        "definition": recipe.to_json(),
-        "versions": recipe.versions(),
-        "training": [_source(log) for log in training],
-        "calibration": [_source(log) for log in calibration],
-        "arrays_sha256": arrays_sha256(draft.arrays),
-    }
-    if selected := _selected(draft.stages):
-        content["selected"] = selected
-    if compared := _compared(draft.stages):
-        content["held_out_rms"] = compared
-    created = datetime.now(UTC).isoformat(timespec="seconds")
-    return replace(
-        draft, record={"key": digest(content), **content, "notes": list(notes), "created": created}
-    )
-
-
-def _selected(stages: Sequence[Stage]) -> dict[str, list[str]]:
-    """The regressors that were selected, by relation."""
-    learned = [stage for stage in stages if isinstance(stage, SelectInputs) and stage.learned]
-    return {name: list(stage.chosen(name)) for stage in learned for name in stage.targets}
-
-
-def _compared(stages: Sequence[Stage]) -> dict[str, dict[str, float]]:
-    """What each combination of local models leaves on held-out rows, by model."""
-    learned = [stage for stage in stages if isinstance(stage, Narx) and stage.learned]
-    return {
-        name: dict(zip(COMBINATIONS, stage.learned[f"{name}/held_out"].tolist(), strict=True))
-        for stage in learned
-        for name in stage.models
-    }
+    return replace(draft, record=new_record(draft, training, calibration, notes, origin or {}))
 
 
 def unfitted_detector(recipe: Recipe) -> Detector:
@@ -136,18 +103,27 @@ def load_record(path: Path) -> dict[str, Any]:
     """
     try:
         record = dict(json.loads(path.read_text(encoding="utf-8")))
-        content = {k: v for k, v in record.items() if k not in ("key", "notes", "created")}
-        intact = record["key"] == digest(content) == path.stem
+        made = record.get("format")
+        intact = made == FORMAT and record["key"] == key_of(record) == path.stem
+        intact = intact and record["seal"] == seal(record)
     except (OSError, ValueError, TypeError, KeyError) as error:
         raise StoreError(f"detector record {path} cannot be read: {error}; fit the detector again") from None
-    if record.get("format") != FORMAT:
+    if made != FORMAT:
+        newer = isinstance(made, int) and made > FORMAT
         raise StoreError(
-            f"detector {path.stem} has format {record.get('format')!r}, this version reads {FORMAT}; "
-            "fit the detector again"
+            f"detector {path.stem} has format {made!r}, this version of dynoscope reads {FORMAT}; "
+            + ("take a newer version" if newer else f"fit the detector again on {_names(record)}")
         )
     if not intact:
         raise StoreError(f"detector record {path} was changed after it was written; fit the detector again")
     return record
+
+
+def _names(record: Mapping[str, Any]) -> str:
+    """The logs that a record of any format says it learned from."""
+    logs = record.get("training")
+    named = [str(log["log"]) for log in logs if "log" in log] if isinstance(logs, list) else []
+    return ", ".join(named) or "its logs"
 
 
 def load_detector(folder: Path, key: str) -> Detector:
@@ -221,9 +197,3 @@ def check_recipe(detector: Detector, recipe: Recipe) -> None:
 
 def _learned(arrays: Mapping[str, NDArray[Any]], prefix: str) -> dict[str, NDArray[Any]]:
     return {k.removeprefix(prefix): v for k, v in arrays.items() if k.startswith(prefix)}
-
-
-def _source(log: Log) -> dict[str, Any]:
-    start, end = log.span
-    known = {k: log.facts[k] for k in ("file", "sha256") if k in log.facts}
-    return {"log": log.name, **known, "start_s": start, "end_s": end}

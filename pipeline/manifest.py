@@ -7,11 +7,13 @@ import subprocess
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ingest.log import Log
-from pipeline.detector import Detector
 from pipeline.digest import digest, settings
+
+if TYPE_CHECKING:
+    from pipeline.detector import Detector
 
 PACKAGES = ("dynoscope", "mcap", "numba", "numpy", "polars", "pyarrow", "rerun-sdk", "scipy")
 

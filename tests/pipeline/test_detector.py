@@ -13,8 +13,8 @@ from ingest.errors import StoreError
 from ingest.log import Log
 from pipeline import diagnose, fit
 from pipeline.detector import Detector, check_recipe, load_detector, load_record, save_detector
-from pipeline.digest import digest
 from pipeline.recipe import Recipe, build_recipe
+from pipeline.records import key_of, seal
 from stages.detect import Detect
 from stages.isolate import Isolate
 
@@ -31,7 +31,8 @@ def rewrite(path: Path, change: Callable[[dict[str, Any]], None], rekey: bool = 
     record = json.loads(path.read_text())
     change(record)
     if rekey:
-        record["key"] = digest({k: v for k, v in record.items() if k not in ("key", "notes", "created")})
+        record["key"] = key_of(record)
+        record["seal"] = seal(record)
     path.unlink()
     path = path.with_name(f"{record['key']}.json")
     path.write_text(json.dumps(record))
@@ -137,10 +138,35 @@ def test_record_under_another_name(kept: Path, detector: Detector) -> None:
         load_record(kept / "other.json")
 
 
-def test_other_format(kept: Path, detector: Detector) -> None:
-    key = rewrite(kept / f"{detector.key}.json", lambda r: r.update(format=99), rekey=True)
-    with pytest.raises(StoreError, match="has format 99, this version reads 1"):
+@pytest.mark.parametrize(
+    ("version", "way_out"),
+    [(99, "take a newer version"), (1, "fit the detector again on healthy1"), (None, "fit")],
+)
+def test_other_format(kept: Path, detector: Detector, version: int | None, way_out: str) -> None:
+    key = rewrite(kept / f"{detector.key}.json", lambda r: r.update(format=version), rekey=True)
+    with pytest.raises(
+        StoreError, match=f"has format {version}, this version of dynoscope reads 2; {way_out}"
+    ):
         load_detector(kept, key)
+
+
+@pytest.mark.parametrize("what", ["notes", "created", "packages"])
+def test_what_the_key_does_not_cover_is_sealed(kept: Path, detector: Detector, what: str) -> None:
+    rewrite(kept / f"{detector.key}.json", lambda r: r.update({what: "another"}))
+    with pytest.raises(StoreError, match="was changed after it was written"):
+        load_record(kept / f"{detector.key}.json")
+
+
+def test_record_says_what_was_learned(detector: Detector) -> None:
+    record = detector.record
+    assert {"log": "healthy1", "seed": 1}.items() <= record["training"][0].items()
+    assert len(record["training"][0]["sha256"]) == 64
+    assert record["training"][0]["sha256"] != record["calibration"][0]["sha256"]
+    assert set(record["thresholds"]["100 s"]) == set(detector.stages[-1].hypotheses)  # type: ignore[attr-defined]
+    assert 0 < record["scores"]["sigma"]["r_cyl"] < 0.05
+    assert 0 < record["scores"]["rms"]["f_Cyl"] < 2.0
+    assert record["seeds"] == {"7.search.seed": 0}
+    assert record["packages"]["numpy"] == np.__version__
 
 
 def test_other_stage_version(kept: Path, detector: Detector, monkeypatch: pytest.MonkeyPatch) -> None:

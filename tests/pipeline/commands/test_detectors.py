@@ -55,7 +55,7 @@ def test_an_old_format_is_refused_clearly(
     path = two.folder / f"{second.key}.json"
     path.write_text(json.dumps({**json.loads(path.read_text()), "format": 0}))
     said = called(capsys, two.folder, "show", second.key, status=2)
-    assert "has format 0, this version reads 1; fit the detector again" in said
+    assert "has format 0, this version of dynoscope reads 2; fit the detector again on again" in said
 
 
 def test_promote_and_roll_back(
