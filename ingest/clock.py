@@ -168,7 +168,8 @@ class Clock:
             step = float(np.nanmedian(np.abs(np.diff(time)))) if np.isfinite(time).any() else 0.0
             self.slow_step = step if step >= _SLOW else 0.0
         exact = time * scale if scale >= 1 else time / round(1 / scale)  # 300 ms is 0.3, exactly
-        return pl.Series(TIME, exact)
+        ends = np.cumsum(values.chunk_lengths())[:-1]  # a frame is copied where its columns' chunks differ
+        return pl.concat([pl.Series(TIME, part) for part in np.split(exact, ends)])
 
 
 def parse_dates(text: pl.Series) -> pl.Series:

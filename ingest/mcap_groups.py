@@ -71,8 +71,10 @@ def own_group(channel: Channel, layout: Layout, parts: Sequence[Part], decode: D
         about[of][what] = value
     columns = []
     for name in layout.fields:
-        values = raw[name].fill_nan(None) if raw[name].dtype.is_float() else raw[name]
-        columns.append(values.cast(getattr(pl, about[name]["dtype"])).alias(about[name].get("name", name)))
+        values, dtype = raw[name], getattr(pl, about[name]["dtype"])
+        if values.dtype != dtype:
+            values = (values.fill_nan(None) if values.dtype.is_float() else values).cast(dtype)
+        columns.append(values.alias(about[name].get("name", name)))
     signals = [Signal.from_metadata(c.name, about[f]) for f, c in zip(layout.fields, columns, strict=True)]
     named = {s.name: s for s in signals if s.name != TIME}
     return Group(channel.metadata["group"], pl.DataFrame(columns), named)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import mmap
 import struct
+import threading
 import zlib
 from collections import deque
 from collections.abc import Iterator
@@ -16,6 +17,7 @@ from dataclasses import dataclass, field
 from io import BytesIO
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
@@ -23,10 +25,13 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, ChunkIndex, Metadata, MetadataIndex, Schema, Statistics
 from mcap.stream_reader import get_chunk_data_stream
 from mcap.writer import MCAP0_MAGIC
-from zstandard import ZstdError, frame_content_size
+from zstandard import ZstdDecompressor, ZstdError, frame_content_size
 
 _FOOTER = struct.Struct("<BQQQI")
 _RECORD = struct.Struct("<BQ")
+_CHUNK = struct.Struct("<QQQII")  # times, unpacked size, its checksum, length of the name of the method
+_LENGTH = struct.Struct("<Q")
+_OWN = threading.local()
 _AHEAD = 4  # chunks being unpacked
 _LARGEST = 1 << 30  # bytes of an unpacked chunk
 DAMAGE = (McapError, struct.error, ValueError, OverflowError, MemoryError, RuntimeError, ZstdError)
@@ -170,12 +175,41 @@ def _take_metadata(file: McapFile, start: int) -> None:
 def _unpack(data: memoryview, first: int, end: int) -> memoryview:
     if data[first] != Opcode.CHUNK:
         return data[first:end]
-    chunk = Chunk.read(ReadDataStream(BytesIO(data[first + _RECORD.size : end])))
+    chunk = _chunk(data[first + _RECORD.size : end])
     if chunk.uncompressed_size > _LARGEST:
         raise ValueError(f"unpacked {chunk.uncompressed_size} bytes, more than any writer makes")
-    if chunk.compression == "zstd" and frame_content_size(chunk.data) > chunk.uncompressed_size:
+    if chunk.compression != "zstd":
+        stream, size = get_chunk_data_stream(chunk, validate_crc=True)
+        content = memoryview(stream.read(size))
+    elif frame_content_size(chunk.data) > chunk.uncompressed_size:
         raise ValueError("its content is larger than it says")
-    stream, size = get_chunk_data_stream(chunk, validate_crc=True)
-    if size != chunk.uncompressed_size:
-        raise ValueError(f"{size} bytes instead of {chunk.uncompressed_size}")
-    return memoryview(stream.read(size))
+    else:
+        content = memoryview(_unzstd(chunk.data, chunk.uncompressed_size))
+        if chunk.uncompressed_crc and zlib.crc32(content) != chunk.uncompressed_crc:
+            raise ValueError("wrong checksum")
+    if len(content) != chunk.uncompressed_size:
+        raise ValueError(f"{len(content)} bytes instead of {chunk.uncompressed_size}")
+    return content
+
+
+def _chunk(content: memoryview) -> Chunk:
+    """A chunk record whose data stay where they are: the library copies them twice."""
+    start, end, size, crc, words = _CHUNK.unpack_from(content)
+    at = _CHUNK.size + words
+    (length,) = _LENGTH.unpack_from(content, at)
+    data: Any = content[at + _LENGTH.size :][:length]
+    return Chunk(
+        message_start_time=start,
+        message_end_time=end,
+        uncompressed_size=size,
+        uncompressed_crc=crc,
+        compression=str(content[_CHUNK.size : at], "utf-8"),
+        data=data,
+    )
+
+
+def _unzstd(data: bytes, size: int) -> bytes:
+    """Decompressed by a decompressor that each thread makes once."""
+    if not hasattr(_OWN, "zstd"):
+        _OWN.zstd = ZstdDecompressor()
+    return bytes(_OWN.zstd.decompress(data, max_output_size=size))

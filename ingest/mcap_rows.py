@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 import polars as pl
+import pyarrow as pa
 from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorSet
 from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.message_factory import GetMessageClass
@@ -211,7 +212,7 @@ class Layout:
 
 def _end_to_end(name: str, parts: Sequence[Column], dtype: Any) -> pl.Series:
     if parts and all(isinstance(p, np.ndarray) for p in parts):
-        return pl.Series(name, np.concatenate(parts))
+        return pl.Series(name, pa.array(np.concatenate(parts)))  # as an array it would be copied
     series = [p if isinstance(p, pl.Series) else pl.Series(name, p) for p in parts]
     return pl.concat(series) if series else pl.Series(name, [], dtype=dtype)
 
