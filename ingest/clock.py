@@ -27,7 +27,7 @@ DATE_NAMES = ("date", "datum", "day")
 _DATES = ("%Y-%m-%d", "%Y/%m/%d", "%d.%m.%Y", "%d/%m/%Y", "%m/%d/%Y", "%d-%m-%Y")
 _TIMES = ("%H:%M:%S%.f", "%I:%M:%S%.f %p", "%H:%M")
 _SLOW = 5.0  # s; few benches record so rarely, and many write ms
-_ENOUGH = 10  # rows to judge that by
+_ENOUGH, _JUDGED = 10, 10_000  # rows to judge that by, at least and at most
 _BRACKETED = re.compile(r"^(?P<name>.*?\S)\s*(?:\[(?P<square>[^\[\]]*)\]|\((?P<round>[^()]*)\))$")
 _UNIT_ENDING = re.compile(r"^(?P<name>.+)[_ ](?P<unit>ns|us|ms|s|sec|min)$", re.IGNORECASE)
 _ELAPSED = r"^(?:(?P<h>\d+):)?(?P<m>\d+):(?P<s>\d\d?(?:\.\d+)?)$"
@@ -165,7 +165,8 @@ class Clock:
             )
         time = values.cast(pl.Float64).to_numpy()
         if not (self.wanted.unit or self.unit or ending) and len(time) >= _ENOUGH:
-            step = float(np.nanmedian(np.abs(np.diff(time)))) if np.isfinite(time).any() else 0.0
+            few = np.abs(np.diff(time[:_JUDGED]))
+            step = float(np.nanmedian(few)) if np.isfinite(few).any() else 0.0
             self.slow_step = step if step >= _SLOW else 0.0
         exact = time * scale if scale >= 1 else time / round(1 / scale)  # 300 ms is 0.3, exactly
         ends = np.cumsum(values.chunk_lengths())[:-1]  # a frame is copied where its columns' chunks differ

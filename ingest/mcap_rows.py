@@ -18,13 +18,13 @@ from typing import Any
 
 import numpy as np
 import polars as pl
-import pyarrow as pa
 from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorSet
 from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.message_factory import GetMessageClass
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
+from ingest.columns import column_of
 from ingest.mcap_text import Texts, encode_text, interleave, take_apart, varint
 from ingest.mcap_writer import Batch
 
@@ -212,7 +212,7 @@ class Layout:
 
 def _end_to_end(name: str, parts: Sequence[Column], dtype: Any) -> pl.Series:
     if parts and all(isinstance(p, np.ndarray) for p in parts):
-        return pl.Series(name, pa.array(np.concatenate(parts)))  # as an array it would be copied
+        return column_of(name, np.concatenate(parts))
     series = [p if isinstance(p, pl.Series) else pl.Series(name, p) for p in parts]
     return pl.concat(series) if series else pl.Series(name, [], dtype=dtype)
 

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 import polars as pl
-import pyarrow as pa
 from numpy.typing import NDArray
 
+from ingest.columns import column_of
 from ingest.log import Signal
 
 _PIECE = 1 << 23  # bytes
@@ -79,6 +79,6 @@ def series_of(samples: NDArray[Any], invalid: NDArray[np.bool_] | None) -> pl.Se
         column = pl.Series([w.rstrip("\0") or None for w in words], dtype=pl.String).gather(which)
     else:
         kind = np.float32 if samples.dtype == np.float16 else samples.dtype.newbyteorder("=")
-        column = pl.Series(pa.array(samples.astype(kind, copy=False)))  # as an array it would be copied
+        column = column_of("", samples.astype(kind, copy=False))
     bits = None if invalid is None else np.asarray(invalid)
     return column if bits is None or not bits.any() else column.set(pl.Series(bits), None)

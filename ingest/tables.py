@@ -71,6 +71,9 @@ def distinct(groups: Mapping[str, Group]) -> dict[str, Group]:
     found = {}
     for key, group in groups.items():
         twice = {n: f"{key}.{n}" for n in group.signals if count[n] > 1}
+        if not twice:
+            found[key] = group
+            continue
         signals = {}
         for name, signal in group.signals.items():
             new = twice.get(name, name)
