@@ -24,6 +24,7 @@ SAMPLES, SIGNALS, VERDICT, ANNOTATED, TIMELINE, MANIFEST = (
     "samples.parquet", "signals.parquet", "verdict.json", "annotated.mcap", "timeline.rrd", "manifest.json",
 )  # fmt: skip
 MEASURED = (RESIDUAL, INDICATOR)
+SHOWN = "shown"  # of a manifest
 ADDED = ("residuals", "regime", "verdict", "corrected")  # groups of the annotated log
 
 
@@ -46,7 +47,14 @@ def write_run(diagnosis: Diagnosis, folder: Path, manifest: dict[str, Any], *, t
             from viz.timeline import write_timeline
 
             write_timeline(diagnosis, draft / TIMELINE)
+        manifest = {**manifest, SHOWN: shown(diagnosis)}
         (draft / MANIFEST).write_text(to_json(manifest), encoding="utf-8")
+
+
+def shown(diagnosis: Diagnosis) -> dict[str, Any]:
+    """What pictures of the run show of its detector, for those that are made later."""
+    plane = diagnosis.operating_map
+    return {"map": plane.to_json()} if plane else {}
 
 
 @contextmanager

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import polars as pl
@@ -53,6 +53,22 @@ class Verdict:
         """Plain JSON values, keys as listed in the documentation of ``verdict.json``."""
         return {**asdict(self), "set": list(self.set), "events": [e.to_json() for e in self.events]}
 
+    @classmethod
+    def from_json(cls, values: Mapping[str, Any]) -> Self:
+        """The inverse of :meth:`to_json`.
+
+        >>> one = Verdict(log="a", recipe="r", detector=None, fault="none", set=("none",))
+        >>> Verdict.from_json(one.to_json()) == one
+        True
+        """
+        size = values["magnitude"]
+        found = {
+            "set": tuple(values["set"]),
+            "events": tuple(Event(**event) for event in values["events"]),
+            "magnitude": size and Magnitude(**size),
+        }
+        return cls(**{**values, **found})
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class OperatingMap:
@@ -71,6 +87,24 @@ class OperatingMap:
     edges: NDArray[np.int64]
     visits: NDArray[np.float64]
     spread: NDArray[np.float64]
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain JSON values of all but the points; NaN is null."""
+        arrays: dict[str, NDArray[Any]] = {
+            k: getattr(self, k).astype(object) for k in ("nodes", "edges", "visits", "spread")
+        }
+        return {"x_label": self.x_label, "y_label": self.y_label} | {
+            k: np.where(a == a, a, np.array(None)).tolist()
+            for k, a in arrays.items()  # NaN is not itself
+        }
+
+    @classmethod
+    def from_json(cls, values: Mapping[str, Any], x: NDArray[np.float64], y: NDArray[np.float64]) -> Self:
+        """The inverse of :meth:`to_json`, with the points."""
+        shape: dict[str, tuple[int, ...]] = {"nodes": (-1, 2), "visits": (-1,), "spread": (-1,)}
+        arrays = {k: np.array(values[k], dtype=float).reshape(shape[k]) for k in shape}
+        edges = np.array(values["edges"], dtype=np.int64).reshape(-1, 2)
+        return cls(x_label=values["x_label"], y_label=values["y_label"], x=x, y=y, edges=edges, **arrays)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

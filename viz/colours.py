@@ -42,6 +42,7 @@ _FAULTS: dict[str, Colour] = {
     "motor_torque_constant": GREEN,
     "back_emf_constant": PURPLE,
 }
+EVERY = (*CYCLE, WHITE, GREY, DIM, EXCEEDANCE)
 _CIVIDIS: NDArray[np.float64] = np.array(
     [(0, 34, 78), (59, 73, 108), (112, 113, 115), (165, 153, 108), (219, 196, 80), (254, 232, 56)],
     dtype=float,
@@ -63,6 +64,41 @@ def of_fault(name: str) -> Colour:
     """
     parts = [_FAULTS.get(part) or of_index(sum(part.encode())) for part in name.split("+")]
     red, green, blue = np.mean(parts, axis=0).round().astype(int).tolist()
+    return red, green, blue
+
+
+def hex_of(colour: Colour) -> str:
+    """
+    >>> hex_of(ORANGE)
+    '#e69f00'
+    """
+    return "#" + "".join(f"{part:02x}" for part in colour)
+
+
+def luminance(colour: Colour) -> float:
+    """Relative luminance, 0 to 1, as the Web Content Accessibility Guidelines 2.1 define it."""
+    s = np.array(colour) / 255.0
+    linear = np.where(s <= 0.04045, s / 12.92, ((s + 0.055) / 1.055) ** 2.4)
+    return float(linear @ (0.2126, 0.7152, 0.0722))
+
+
+def on_paper(colour: Colour, contrast: float = 3.0) -> Colour:
+    """The colour, darkened until lines of it have that contrast on white; white and the dim grey change
+    places with what they are on a dark background.
+
+    >>> on_paper(WHITE), on_paper(VERMILLION)
+    ((40, 40, 40), (213, 94, 0))
+    """
+    if colour in (WHITE, DIM):
+        return (40, 40, 40) if colour == WHITE else (205, 210, 214)
+    share = 1.0
+    while 1.05 / (luminance(shaded := _times(colour, share)) + 0.05) < contrast:
+        share -= 0.02
+    return shaded
+
+
+def _times(colour: Colour, share: float) -> Colour:
+    red, green, blue = (round(part * share) for part in colour)
     return red, green, blue
 
 

@@ -8,10 +8,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ingest.log import Log
+
 Array = NDArray[np.float64]
 
 GAP_STEPS = 5.0
 """A step this many times longer than nearly all others is a gap."""
+
+
+def at_times(log: Log, name: str, time: Array) -> Array:
+    """A signal at other times, linear between its samples; NaN before and after them, or where it is none."""
+    if name not in log.signals:
+        return np.full(time.size, np.nan)
+    known, values = log.group_of(name).time, log.values(name)
+    order = np.argsort(known, kind="stable")
+    order = order[np.isfinite(values[order])]
+    if not order.size:
+        return np.full(time.size, np.nan)
+    return np.interp(time, known[order], values[order], left=np.nan, right=np.nan)
 
 
 def usual_step(time: Array) -> float:

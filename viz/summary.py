@@ -16,6 +16,27 @@ from viz.residuals import column, names, telling_rows
 
 REASONS = 3
 REGIME_ROWS = 40
+WORDS = {
+    "none": "No fault found",
+    "insufficient_evidence": "Too little usable data for a verdict",
+    "unknown": "A fault that no hypothesis explains",
+    "maf_gain": "Air mass flow sensor reads wrong",
+    "boost_pressure_gain": "Boost pressure sensor reads wrong",
+    "intake_pressure_gain": "Intake pressure sensor reads wrong",
+    "intake_temperature_gain": "Intake temperature sensor reads wrong",
+    "boost_leak": "Leak in the boost manifold",
+    "intake_leak": "Leak in the intake manifold",
+    "egr_stuck_open": "EGR valve stuck open",
+    "egr_stuck_closed": "EGR valve stuck closed",
+    "sensor_stuck": "Sensor stuck",
+    "sensor_noise": "Sensor noisy",
+    "sensor_offset": "Sensor off by an offset",
+    "tps_time_constant": "Throttle position sensor has another speed",
+    "tps_gain": "Throttle position sensor has another gain",
+    "motor_torque_constant": "Throttle motor has another torque constant",
+    "back_emf_constant": "Throttle motor has another back e.m.f. constant",
+}
+"""Faults as people call them; others bear their own names."""
 
 
 def summary(diagnosis: Diagnosis, remarks: Iterable[str] = ()) -> str:
@@ -35,15 +56,17 @@ def headline(verdict: Verdict) -> str:
     """The verdict as a title.
 
     >>> headline(Verdict(log="a", recipe="r", detector=None, fault="boost_leak"))
-    'boost_leak'
+    'Leak in the boost manifold (boost_leak)'
+    >>> headline(Verdict(log="a", recipe="r", detector=None, fault="none"))
+    'No fault found'
     """
-    plain = {
-        "none": "No fault found",
-        "insufficient_evidence": "Too little usable data for a verdict",
-        "unknown": "A fault that no hypothesis explains",
-    }
-    signal = f" ({verdict.signal})" if verdict.signal else ""
-    return plain.get(verdict.fault, verdict.fault.replace("+", " + ") + signal)
+    parts = verdict.fault.split("+")
+    words = " and ".join(WORDS.get(part, part) for part in parts)
+    if verdict.fault in ("none", "insufficient_evidence", "unknown"):
+        return words
+    signal = f", {verdict.signal}" if verdict.signal else ""
+    name = f"{verdict.fault}{signal}" if all(part in WORDS for part in parts) else verdict.signal
+    return f"{words} ({name})" if name else words
 
 
 def magnitude_text(magnitude: Magnitude) -> str:
@@ -209,6 +232,7 @@ def _provenance(verdict: Verdict, log: Log) -> str:
 def facts(log: Log) -> list[tuple[str, str]]:
     """Facts about the source that fit on a line."""
     plain = {k: v for k, v in log.facts.items() if isinstance(v, str | int | float) and v != ""}
+    plain.pop("path", None)  # where it lay says nothing of the log
     if "file" in plain:
         plain["file"] = PurePath(str(plain["file"])).name
     return [(key.replace("_", " "), _short(value)) for key, value in plain.items()][:12]

@@ -36,6 +36,7 @@ def run(args: argparse.Namespace) -> int:
     from pipeline.console import progress, talk
     from pipeline.fitting import fit
     from pipeline.recipe import load_recipe
+    from pipeline.reporting import write_report
     from pipeline.store import Store
 
     began = time.perf_counter()
@@ -58,9 +59,10 @@ def run(args: argparse.Namespace) -> int:
         summary = batch.run(
             drives, detector, args.out / "out", progress=lambda log, row: step(describe(log, row))
         )
+    page = write_report(args.out / "out")
     print_summary(summary.to_dicts())
     talk(
         f"{time.perf_counter() - began:.0f} s. Look at a drive: "
-        f"dynoscope view {args.out / 'out' / 'boost_leak'}"
+        f"dynoscope view {args.out / 'out' / 'boost_leak'}, at all of them: {page}"
     )
     return 0

@@ -21,6 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--detector", default="champion", metavar="KEY", help="default: the champion")
     add_map_arguments(parser)
     parser.add_argument("--no-timeline", action="store_true", help="write no Rerun recordings")
+    parser.add_argument("--no-report", action="store_true", help="write no report.html over the batch")
     parser.add_argument("--force", action="store_true", help="diagnose again what is done")
     parser.add_argument("--only-failed", action="store_true", help="only logs that failed before")
     parser.add_argument("--dry-run", action="store_true", help="say what would be done, and do nothing")
@@ -38,12 +39,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     from ingest.errors import DynoscopeError
-    from ingest.files import find_logs
+    from ingest.files import find_logs, url_of
     from pipeline import batch
     from pipeline.cache import default_folder
     from pipeline.console import Problems, print_json, print_table, progress, talk
     from pipeline.detector import check_recipe, unfitted_detector
     from pipeline.recipe import load_recipe
+    from pipeline.reporting import write_report
     from pipeline.store import Store
 
     problems = Problems()
@@ -77,6 +79,8 @@ def run(args: argparse.Namespace) -> int:
         return 0
     with progress("diagnosing", len(paths)) as step:
         summary = batch.run(paths, detector, args.out, options, lambda log, row: step(describe(log, row)))
+    if not args.no_report and not url_of(args.out):
+        write_report(args.out)
     talk(f"results in {args.out}")
     rows = summary.to_dicts()
     if args.json:

@@ -59,7 +59,7 @@ def test_magnitudes(magnitude: Magnitude, text: str) -> None:
 def test_the_summary_says_what_happened_and_why(diagnosis: Diagnosis) -> None:
     text = summary(diagnosis)
     for part in (
-        "## boost_leak",
+        "## Leak in the boost manifold (boost_leak)",
         "201.3 s",
         "206.0 s",
         "3.80 ± 0.31 mm",
