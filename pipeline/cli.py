@@ -15,6 +15,7 @@ from ingest.errors import DynoscopeError
 COMMANDS = (
     "demo", "simulate", "ingest", "inspect", "identify", "select", "fit", "run", "view", "recipe", "cache",
     "explain", "detectors", "report",
+    "retrain",
 )  # fmt: skip
 DONE, FAILED, WRONG = 0, 1, 2
 

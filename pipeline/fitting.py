@@ -7,9 +7,10 @@ the other three, which says how well the models interpolate, but nothing about o
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -27,9 +28,13 @@ Passed = tuple[Sequence[Stage], Log]  # a block and the fitted stages that it ha
 
 
 def fit(
-    logs: Sequence[Log], recipe: Recipe, calibrate: Sequence[Log] = (), progress: Progress = lambda _: None
+    logs: Sequence[Log],
+    recipe: Recipe,
+    calibrate: Sequence[Log] = (),
+    progress: Progress = lambda _: None,
+    origin: Mapping[str, Any] | None = None,
 ) -> Detector:
-    """A detector of ``recipe`` from fault-free ``logs``.
+    """A detector of ``recipe`` from fault-free ``logs``; ``origin`` goes into its record.
 
     Raises:
         LogError: a log lacks a signal, or there is too little usable data; the message says which.
@@ -46,7 +51,7 @@ def fit(
     passed: list[Passed] = [(prepare, block) for block in training]
     fitted = _learn(models, passed)
     if not decide:
-        return new_detector(recipe, [*prepare, *fitted], logs, calibrate, [])
+        return new_detector(recipe, [*prepare, *fitted], logs, calibrate, [], origin)
     notes = []
     if calibrate:
         held_out: list[Passed] = [
@@ -63,7 +68,7 @@ def fit(
         held_out += [([*prepare, *fitted], block) for block in whole]  # only these fill the long memories
     progress(f"setting spreads and thresholds on {_rows([block for _, block in held_out])} samples")
     stages = [*prepare, *fitted, *_learn(decide, held_out)]
-    return new_detector(recipe, stages, logs, calibrate, notes)
+    return new_detector(recipe, stages, logs, calibrate, notes, origin)
 
 
 def _check_amount(blocks: Sequence[Log], least_s: float) -> None:

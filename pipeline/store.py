@@ -61,6 +61,32 @@ class Store:
         with self._writing(), self._locked():
             self._note(recipe, {"key": key, "reason": reason})
 
+    def keep_comparison(self, comparison: Mapping[str, Any]) -> None:
+        """Keep what a challenger was compared to the champion with, as JSON values.
+
+        Raises:
+            StoreError: the folder cannot be written.
+        """
+        path = self._comparison(comparison["champion"], comparison["challenger"])
+        with self._writing():
+            write_aside(path, (json.dumps(comparison, indent=1) + "\n").encode())
+
+    def comparison(self, champion: str, challenger: str) -> dict[str, Any] | None:
+        """The comparison of two detectors that was kept, None where there was none.
+
+        Raises:
+            StoreError: it cannot be read.
+        """
+        path = self._comparison(champion, challenger)
+        try:
+            found = dict(json.loads(path.read_text(encoding="utf-8")))
+            assert {*found} >= {"champion", "challenger", "rows", "verdict"}
+            return found
+        except FileNotFoundError:
+            return None
+        except (OSError, ValueError, TypeError, AssertionError) as error:
+            raise StoreError(f"comparison {path} cannot be read: {error}; compare again") from None
+
     def rollback(self, recipe: str, reason: str) -> str:
         """Make the champion before the present one champion again, and return its key; doing it again goes
         further back.
@@ -172,6 +198,9 @@ class Store:
             yield
         except OSError as error:
             raise StoreError(f"store {self.folder} cannot be written: {error.strerror or error}") from None
+
+    def _comparison(self, champion: str, challenger: str) -> Path:
+        return self.folder / "comparisons" / f"{champion}.{challenger}.json"
 
     def _pointer(self, recipe: str) -> Path:
         return self.folder / "champions" / f"{recipe}.json"

@@ -144,17 +144,22 @@ class Isolate:
 
     def fit(self, blocks: Sequence[Log], before: Sequence[Sequence[Stage]] = (), /) -> Self:
         shape = (len(self.memories_s) + 1, len(self.hypotheses))
-        largest = np.zeros(shape)
+        largest = []
         judged = self._judged(residual_names(blocks[0]))
         given = np.array([self.offsets.get(r, {}).get("1", 0.0) for r in judged])
         learned = {"offset_sd": offset_sd(blocks, judged, given, self.memories_s[-2], self.correlation_s)}
         silent = replace(self, learned={"threshold": np.full(shape, np.inf), **learned})
         for block, passed in zip(blocks, before, strict=True):
             stage = silent.connect(passed)
-            largest = np.maximum(largest, stage.step(stage.start(), block)[0].memory.largest)
+            largest.append(np.maximum(stage.step(stage.start(), block)[0].memory.largest, 0.0))
+        learned["largest"] = np.stack(largest)
+        return replace(self, learned={"threshold": self.thresholds(learned["largest"]), **learned})
+
+    def thresholds(self, largest: Array) -> Array:
+        """Thresholds (memories + 1, faults) from the largest evidence in each log of a calibration, (logs,
+        memories + 1, faults)."""
         least = np.append(np.full(len(self.memories_s), self.min_threshold), self.min_step_threshold)
-        threshold = np.maximum(largest + self.margin, least[:, None])
-        return replace(self, learned={"threshold": threshold, **learned})
+        return np.asarray(np.maximum(largest.max(axis=0) + self.margin, least[:, None]))
 
     def _judged(self, known: Sequence[str]) -> list[str]:
         return [r for r in known if r in self.residuals] if self.residuals else [*known]

@@ -6,10 +6,12 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pipeline.commands.ingest import add_map_arguments, names_of
+
 if TYPE_CHECKING:
     from pipeline.store import Store
 
-HELP = "the detector store: list, show, promote, rollback, export, import"
+HELP = "the detector store: list, show, compare, promote, rollback, export, import"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -17,6 +19,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     said = {
         "list": "all detectors, each loaded and checked",
         "show": "what a detector was made of and learned from, and when it was champion",
+        "compare": "a champion and a challenger: on held-out logs, or as they were compared before",
         "promote": "make a detector the champion of its recipe",
         "rollback": "make the champion before this one champion again",
         "export": "copy detectors into a folder, which is a store too",
@@ -24,6 +27,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     }
     made = {name: actions.add_parser(name, help=text, description=text) for name, text in said.items()}
     made["show"].add_argument("keys", nargs="+", metavar="KEY", help="a key or its beginning, or champion")
+    two = "two keys, or one that is compared with the champion"
+    made["compare"].add_argument("keys", nargs="+", metavar="KEY", help=two)
+    made["compare"].add_argument("--on", nargs="+", metavar="LOG", help="fault-free logs neither has seen")
+    made["compare"].add_argument("--details", action="store_true", help="also the rows of single regimes")
+    add_map_arguments(made["compare"])
+    made["promote"].add_argument("--force", action="store_true", help="even if it was found worse")
     made["promote"].add_argument("keys", nargs=1, metavar="KEY", help="a key or its beginning")
     made["export"].add_argument("keys", nargs="*", metavar="KEY", help="default: all")
     paths = made["import"].add_argument("paths", nargs="+", type=Path, metavar="PATH")
@@ -40,6 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     from ingest.errors import StoreError
+    from pipeline.retraining import promote
     from pipeline.store import Store
 
     if args.action != "import" and not args.store.exists():
@@ -49,9 +59,11 @@ def run(args: argparse.Namespace) -> int:
         return _list(store, as_json=args.json)
     if args.action == "show":
         return _show(store, [_key(store, k, args.recipe) for k in args.keys], as_json=args.json)
+    if args.action == "compare":
+        return _compare(store, args)
     if args.action == "promote":
         detector = store.load(store.resolve(args.keys[0]))
-        store.promote(detector.key, detector.recipe.name, args.reason or "promoted")
+        promote(store, detector, args.reason, force=args.force)
         keys = [detector.key]
     elif args.action == "rollback":
         keys = [store.rollback(_recipe(store, args.recipe), args.reason or "rolled back")]
@@ -107,6 +119,36 @@ def _show(store: Store, keys: list[str], *, as_json: bool) -> int:
             print(f"  stages {', '.join(f'{s} {v}' for s, v in detector.record['versions'].items())}")
     if as_json:
         print_json(shown)
+    return 0
+
+
+def _compare(store: Store, args: argparse.Namespace) -> int:
+    from ingest.errors import StoreError
+    from ingest.files import find_logs
+    from pipeline.commands.retrain import print_comparison, read_all
+    from pipeline.console import Problems, print_json, progress
+    from pipeline.retraining import compared
+
+    if len(args.keys) > 2:
+        raise StoreError(f"detectors compare takes one key or two, got {len(args.keys)}")
+    challenger = store.load(store.resolve(args.keys[-1]))
+    other = args.keys[0] if len(args.keys) == 2 else "champion"
+    champion = store.load(_key(store, other, challenger.recipe.name))
+    if args.on:
+        logs = read_all({"on": find_logs(args.on)}, names_of(args), Problems())["on"]
+        with progress("comparing", len(logs)) as step:
+            found = compared(store, champion, challenger, logs, step)
+    elif (kept := store.comparison(champion.key, challenger.key)) is not None:
+        found = kept
+    else:
+        raise StoreError(
+            f"detectors {champion.key} and {challenger.key} have not been compared; "
+            "give fault-free logs that neither has seen with --on"
+        )
+    if args.json:
+        print_json(found)
+    else:
+        print_comparison(found, details=args.details)
     return 0
 
 
