@@ -91,10 +91,12 @@ def compare_detectors(
     champion: Detector,
     challenger: Detector,
     logs: Sequence[Log],
+    faults: Sequence[Injection] | None = None,
     seed: int = 0,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Comparison:
-    """Replay both detectors on ``logs``, which must be fault-free and unseen, and compare.
+    """Replay both detectors on ``logs``, which must be fault-free and unseen, and compare; ``faults`` to
+    inject are :func:`pipeline.trial.injections` if none are given.
 
     Raises:
         StoreError: they are not of one recipe.
@@ -107,7 +109,8 @@ def compare_detectors(
         )
     pairs: dict[Injection, list[tuple[Trial, Trial]]] = {}
     shared = same_preparation(champion, challenger)
-    faults = [i for i in injections(champion) if i in injections(challenger)]
+    if faults is None:
+        faults = [i for i in injections(champion) if i in injections(challenger)]
     for log in logs:
         one = prepare(champion, log)
         two = one if shared else prepare(challenger, log)
