@@ -38,11 +38,12 @@ class Memory:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Estimate:
-    """``x``: logarithms (n + 3,); ``covariance``, ``noise_sd`` (of the measurement), ``memory``, and
-    ``state`` after the window: None where the estimator has none."""
+    """``x``: logarithms (n + 3,); ``covariance``, ``still`` (that where nothing drifts), ``noise_sd`` (of the
+    measurement), ``memory``, and ``state`` after the window: None where the estimator has none."""
 
     x: Array
     covariance: Array | None
+    still: Array | None = None
     noise_sd: float | None = None
     memory: Memory | None = None
     state: Array | None = None
@@ -71,13 +72,13 @@ class Innovations:
         found = self._first(u, y) if memory is None else self._next(structure, u, y, memory, state)
         if found is None:
             return None
-        x, covariance = found.indicators
+        x, covariance, still = found.indicators
         known = np.isfinite(x).all() and np.isfinite(covariance).all()
         if not (known and self._plausible(x, covariance, memory)):
             return None
         return Estimate(
-            x=x, covariance=covariance, noise_sd=found.noise[1], memory=self._remember(memory, found),
-            state=found.state,
+            x=x, covariance=covariance, still=still, noise_sd=found.noise[1],
+            memory=self._remember(memory, found), state=found.state,
         )  # fmt: skip
 
     def _first(self, u: Array, y: Array) -> Fit | None:
@@ -136,6 +137,7 @@ class Innovations:
             colour=memory.colour,
             input_drift=product - gain,
             input_drift_sd=float(np.sqrt(doubt)),
+            input_drift_error=float(np.sqrt(memory.product.still[1, 1] + memory.gain.still[1, 1])),
         )
 
     def _plausible(self, x: Array, covariance: Array, memory: Memory | None) -> bool:
@@ -145,7 +147,7 @@ class Innovations:
         return bool(np.exp(x[0]) * fastest < 1.0 and known)
 
     def _remember(self, memory: Memory | None, found: Fit) -> Memory:
-        x, covariance = found.indicators
+        x, covariance, _ = found.indicators
         measured = (float(x[1]), float(covariance[1, 1])), (float(found.p[1]), float(found.covariance[1, 1]))
         if memory is None:
             gain, product = (Trend.at(value, v) for value, v in measured)

@@ -50,7 +50,8 @@ class Structure:
     ``colour``: phi, the pole of the process disturbance.
 
     Relative drift from the window's start to its end is a priori N(0, drift_sd^2), that of b N(input_drift,
-    input_drift_sd^2): it is nearly the same as another a_n, and must be known to tell them apart."""
+    input_drift_sd^2): it is nearly the same as another a_n, and must be known to tell them apart. Where
+    nothing drifts, ``input_drift`` has the standard deviation ``input_drift_error``."""
 
     plant_order: int
     dt: float
@@ -59,6 +60,7 @@ class Structure:
     drift_sd: float = 0.05
     input_drift: float = 0.0
     input_drift_sd: float = 0.002
+    input_drift_error: float = 0.0
 
     @cached_property
     def _drifting(self) -> NDArray[np.int64]:
@@ -127,10 +129,13 @@ class Structure:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Fit:
-    """A fitted window: parameters, their covariance, var e, the state after it, and what was minimised."""
+    """A fitted window: parameters, their covariance, var e, the state after it, and what was minimised.
+
+    ``still``: the covariance where nothing drifts, though it might: the one to judge by whether it does."""
 
     p: Array
     covariance: Array
+    still: Array
     variance: float
     state: Array
     loss: float
@@ -147,9 +152,9 @@ class Fit:
         return float(np.sqrt(max(k2, 0.0))), float(np.sqrt(max(n2, 0.0)))
 
     @cached_property
-    def indicators(self) -> tuple[Array, Array]:
-        """Logarithms of tau, k_s times the spread of w_p, k_p = b / that, a_1 ... a_n, and their covariance
-        to first order."""
+    def indicators(self) -> tuple[Array, Array, Array]:
+        """Logarithms of tau, k_s times the spread of w_p, k_p = b / that, a_1 ... a_n, and to first order
+        their covariance and that where nothing drifts."""
         n, M = self.p.size - 2 - self.orders, self.orders
         tau, b, a_i, _ = unpack(self.p, n)
         k = max(self.noise[0], 1e-300)
@@ -169,9 +174,9 @@ class Fit:
         J[2, 1:3] = 1.0
         J[2] -= J[1]
         J[3:, 2 : n + 2] = np.tril(np.ones((n, n)))
-        P = np.zeros((self.p.size + 1,) * 2)
-        P[:-1, :-1], P[-1, -1] = self.covariance, 2.0 / self.samples
-        return x, J @ P @ J.T
+        own = 2.0 / self.samples * np.outer(J[:, -1], J[:, -1])
+        J = J[:, :-1]
+        return x, J @ self.covariance @ J.T + own, J @ self.still @ J.T + own
 
 
 def _noise(log_tau: float, gamma: Array, variance: float, dt: float, phi: float) -> tuple[float, float]:
@@ -246,11 +251,23 @@ def fit(
     H = G[:-1, :-1] / v
     H[:k, :k] += information
     H[np.arange(k, len(H)), np.arange(k, len(H))] += known
-    covariance = np.asarray(np.linalg.inv(H[:k, :k] - H[:k, k:] @ _solve(H[k:, k:], H[k:, :k])), np.float64)
+    off = np.zeros_like(known)
+    off[n + 2] = structure.input_drift_error**2
+    covariance, still = _covariances(H, k, known * (1.0 - known * off))
     return Fit(
-        p=p, covariance=covariance, variance=v, state=end, loss=loss, samples=u.size, dt=structure.dt,
-        orders=structure.noise_order, colour=structure.colour,
+        p=p, covariance=covariance, still=still, variance=v, state=end, loss=loss, samples=u.size,
+        dt=structure.dt, orders=structure.noise_order, colour=structure.colour,
     )  # fmt: skip
+
+
+def _covariances(H: Array, k: int, assumed: Array) -> tuple[Array, Array]:
+    """Of the first k unknowns with information matrix H: ``H^-1``, and ``H^-1 (H - D) H^-1`` with D =
+    diag(0, ``assumed``), for w that is at rest. There the data's share of the information varies as ever,
+    but what was known of w a priori is a mean with variance V: D = known - known V known."""
+    to_w = _solve(H[k:, k:], H[k:, :k])
+    covariance = np.asarray(np.linalg.inv(H[:k, :k] - H[:k, k:] @ to_w), np.float64)
+    follows = to_w @ covariance
+    return covariance, covariance - follows.T @ (assumed[:, None] * follows)
 
 
 def _solve(M: Array, b: Array) -> Array:

@@ -260,6 +260,7 @@ class Monitor:
         if reference is None:
             return row
         d, own = reference.change(estimate)
+        own = own if estimate.still is None else estimate.still
         sd = np.sqrt(np.diag(own + reference.covariance))
         mean = np.where(d == 0.0, value, (value - np.exp(reference.mean)) / np.where(d == 0.0, 1.0, d))
         for i, name in enumerate(self.indicators):

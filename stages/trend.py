@@ -16,6 +16,9 @@ LEVEL_SD, SLOPE_SD = 0.005, 0.003  # by how much a logarithm may depart from its
 class Trend:
     """``state``: level at the last window's centre and slope by window, with ``covariance`` (2, 2).
 
+    ``still``: the covariance (2, 2) of the state's error if the level is at rest, which the filter does not
+    take for granted.
+
     >>> trend = Trend.at(0.0, 0.0)
     >>> for t in range(1, 60):
     ...     trend = trend.follow(0.01 * t, 1e-4)
@@ -25,11 +28,13 @@ class Trend:
 
     state: Array
     covariance: Array
+    still: Array
 
     @classmethod
     def at(cls, level: float, variance: float) -> Self:
         """A level at rest."""
-        return cls(state=np.array([level, 0.0]), covariance=np.diag([variance, 0.0]))
+        known = np.diag([variance, 0.0])
+        return cls(state=np.array([level, 0.0]), covariance=known, still=known)
 
     def follow(self, value: float, variance: float, elapsed: float = 1.0) -> Self:
         """After one more measurement of ``value``, so many windows after the last."""
@@ -37,7 +42,12 @@ class Trend:
         x = F @ self.state
         P = F @ self.covariance @ F.T + elapsed * np.diag([LEVEL_SD**2, SLOPE_SD**2])
         gain = P[:, 0] / (P[0, 0] + variance)
-        return type(self)(state=x + gain * (value - x[0]), covariance=P - np.outer(gain, P[0]))
+        left = F - np.outer(gain, F[0])
+        return type(self)(
+            state=x + gain * (value - x[0]),
+            covariance=P - np.outer(gain, P[0]),
+            still=left @ self.still @ left.T + variance * np.outer(gain, gain),
+        )
 
     def ahead(self, windows: float) -> tuple[float, float]:
         """The level that many windows later, and its standard deviation."""

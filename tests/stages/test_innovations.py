@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from ingest.simulators.throttle import Throttle, plant_coefficients, simulate_throttle
-from stages.innovations import Fit, Structure, fit, pack, unpack
+from stages.innovations import Fit, Structure, _covariances, fit, pack, unpack
 
 Array = NDArray[np.float64]
 P = Throttle()
@@ -42,7 +42,8 @@ def test_spectra_of_both_descriptions_agree(tau: float, k_w: float, sd_n: float)
     c = (even - np.sqrt(even**2 - 4 * odd**2)) / (2 * odd)
     p = pack(tau, 1.0, np.array([1.0]), np.array([-c]))
     found = Fit(
-        p=p, covariance=np.eye(4), variance=odd / c, state=np.zeros(2), loss=0.0, samples=100, dt=1e-4
+        p=p, covariance=np.eye(4), still=np.eye(4), variance=odd / c, state=np.zeros(2), loss=0.0,
+        samples=100, dt=1e-4,
     )  # fmt: skip
     assert found.noise == pytest.approx((k_w, sd_n), rel=1e-3)
 
@@ -51,6 +52,7 @@ def test_indicators_jacobian_is_that_of_finite_differences() -> None:
     base = Fit(
         p=TRUTH,
         covariance=np.diag(np.arange(1.0, 7.0)),
+        still=0.5 * np.diag(np.arange(1.0, 7.0)),
         variance=2e-6,
         state=np.zeros(4),
         loss=0.0,
@@ -65,6 +67,8 @@ def test_indicators_jacobian_is_that_of_finite_differences() -> None:
     J = np.stack([*columns, (louder.indicators[0] - base.indicators[0]) / step], axis=1)
     expected = J @ np.diag([*np.arange(1.0, 7.0), 2 / 500]) @ J.T
     np.testing.assert_allclose(base.indicators[1], expected, rtol=1e-4, atol=1e-6)
+    own = 2 / 500 * np.outer(J[:, -1], J[:, -1])
+    np.testing.assert_allclose(base.indicators[2] - own, 0.5 * (expected - own), rtol=1e-4, atol=1e-6)
 
 
 def test_sensitivities_are_those_of_finite_differences() -> None:
@@ -107,12 +111,37 @@ def test_estimates_are_unbiased_and_as_spread_as_they_say() -> None:
         u, y = log.values("e_a"), log.values("theta_ang")
         for first in range(10_000, 60_000, 10_000):
             part = slice(first, first + 10_000)
-            x, covariance = fit(STRUCTURE, u[part], y[part], TRUTH, TRUTH, FREE).indicators
+            x, covariance, _ = fit(STRUCTURE, u[part], y[part], TRUTH, TRUTH, FREE).indicators
             sd.append(np.sqrt(np.diag(covariance)))
             z.append((x - truth) / sd[-1])
     assert np.abs(np.mean(z, axis=0)).max() < 3.0 / np.sqrt(len(z))
     np.testing.assert_allclose(np.std(z, axis=0), 1.0, atol=0.35)
     assert (np.median(sd, axis=0) < [0.06, 0.03, 0.035, 0.03, 0.03, 0.03]).all()
+
+
+def test_covariance_at_rest_is_that_of_regressions_with_wrong_doubts() -> None:
+    """Ridge regressions of pure noise: the spread of what they find, while the drifts are 0 and their means
+    a priori have a spread of their own."""
+    rng = np.random.default_rng(0)
+    V, known, off = rng.normal(size=(30, 5)), np.array([0.0, 4.0, 9.0]), np.array([0.0, 0.3, 0.0])
+    H = V.T @ V + np.diag([0.0, 0.0, *known])
+    noise, mean = rng.normal(size=(40_000, 30)), off * rng.normal(size=(40_000, 3))
+    found = np.linalg.solve(H, V.T @ noise.T + np.concatenate([np.zeros((2, 40_000)), (known * mean).T]))
+    covariance, still = _covariances(H, 2, known * (1.0 - known * off**2))
+    np.testing.assert_allclose(covariance, np.linalg.inv(H)[:2, :2])
+    np.testing.assert_allclose(still, np.cov(found[:2]), rtol=0.05, atol=0.02 * np.abs(still).max())
+    assert (np.diag(still) < np.diag(covariance)).all()
+
+
+def test_where_nothing_drifts_the_doubt_of_a_drift_counts_less() -> None:
+    u, y = window(4)
+    found = fit(replace(STRUCTURE, input_drift_sd=0.01), u, y, TRUTH, TRUTH, FREE)
+    sure = fit(STRUCTURE.stiff, u, y, TRUTH, TRUTH, FREE)
+    _, doubted, still = (np.sqrt(np.diag(P)) if P.ndim == 2 else P for P in found.indicators)
+    assert (still <= doubted * (1 + 1e-9)).all()
+    assert still[5] < 0.97 * doubted[5]
+    # estimated along, a drift costs, even where there is none
+    assert (still >= 0.99 * np.sqrt(np.diag(sure.indicators[1]))).all()
 
 
 @pytest.mark.parametrize("factor", [0.85, 1.15])
