@@ -56,7 +56,7 @@ class Detector:
 def new_detector(
     recipe: Recipe,
     stages: Sequence[Stage],
-    training: Sequence[Log],
+    training: Sequence[Log] | Sequence[Mapping[str, Any]],
     calibration: Sequence[Log],
     notes: Sequence[str],
     origin: Mapping[str, Any] | None = None,

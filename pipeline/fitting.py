@@ -43,13 +43,13 @@ def fit(
     if not logs:
         raise LogError("no logs to fit on; give at least one fault-free log")
     recipe = bound(recipe, common_signals([*logs, *calibrate]))
-    prepare, models, decide = _sections(recipe.stages)
+    prepare, models, decide = sections(recipe.stages)
     progress(f"preparing {len(logs) + len(calibrate)} log(s): {', '.join(recipe.uses[: len(prepare)])}")
     training = [transform(prepare, log) for log in logs]
     _check_amount(training, recipe.min_evidence_s)
     progress(f"fitting on {_rows(training)} samples")
     passed: list[Passed] = [(prepare, block) for block in training]
-    fitted = _learn(models, passed)
+    fitted = learn(models, passed)
     if not decide:
         return new_detector(recipe, [*prepare, *fitted], logs, calibrate, [], origin)
     notes = []
@@ -67,7 +67,7 @@ def fit(
         held_out = _hold_out(prepare, fitted, whole)
         held_out += [([*prepare, *fitted], block) for block in whole]  # only these fill the long memories
     progress(f"setting spreads and thresholds on {_rows([block for _, block in held_out])} samples")
-    stages = [*prepare, *fitted, *_learn(decide, held_out)]
+    stages = [*prepare, *fitted, *learn(decide, held_out)]
     return new_detector(recipe, stages, logs, calibrate, notes, origin)
 
 
@@ -82,7 +82,7 @@ def _check_amount(blocks: Sequence[Log], least_s: float) -> None:
         )
 
 
-def _sections(stages: Sequence[Stage]) -> tuple[Sequence[Stage], Sequence[Stage], Sequence[Stage]]:
+def sections(stages: Sequence[Stage]) -> tuple[Sequence[Stage], Sequence[Stage], Sequence[Stage]]:
     """What comes before the first learner, the models, and all from the first stage that needs
     calibration."""
     learns = [stage.learns_from if isinstance(stage, Learner) else None for stage in stages]
@@ -91,7 +91,7 @@ def _sections(stages: Sequence[Stage]) -> tuple[Sequence[Stage], Sequence[Stage]
     return stages[:prepare], stages[prepare:decide], stages[decide:]
 
 
-def _learn(stages: Sequence[Stage], passed: Sequence[Passed]) -> list[Stage]:
+def learn(stages: Sequence[Stage], passed: Sequence[Passed]) -> list[Stage]:
     """The stages fitted one after the other, each on what the ones before it made of the blocks."""
     fitted: list[Stage] = []
     for stage in stages:

@@ -34,12 +34,13 @@ DIGITS = 6  # of numbers that are there to be read
 
 def new_record(
     draft: Detector,
-    training: Sequence[Log],
+    training: Sequence[Log] | Sequence[Mapping[str, Any]],
     calibration: Sequence[Log],
     notes: Sequence[str],
     origin: Mapping[str, Any],
 ) -> dict[str, Any]:
-    """The record of a detector that has none yet; ``origin``: how it came about, if not by a fit alone."""
+    """The record of a detector that has none yet; ``training``: logs, or what another record says of them;
+    ``origin``: how it came about, if not by a fit alone."""
     from pipeline.manifest import packages
 
     recipe = draft.recipe
@@ -48,7 +49,7 @@ def new_record(
         "recipe": recipe.name,
         "definition": recipe.to_json(),
         "versions": recipe.versions(),
-        "training": [source(log) for log in training],
+        "training": [source(log) if isinstance(log, Log) else dict(log) for log in training],
         "calibration": [source(log) for log in calibration],
         "seeds": _seeds(draft.stages),
         "arrays_sha256": arrays_sha256(draft.arrays),
