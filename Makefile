@@ -3,7 +3,7 @@ VENV ?= .venv
 PYTHON ?= python3
 BIN := $(VENV)/bin
 
-.PHONY: bench demo test lint clean
+.PHONY: bench demo test lint pictures clean
 
 demo: $(VENV)/.installed
 	$(BIN)/dynoscope demo --out demo
@@ -16,6 +16,10 @@ bench: $(VENV)/.installed-test
 	$(BIN)/python -m benchmarks.ingest --rows 100000
 	$(BIN)/python -m benchmarks.throttle --part 1 5 --seeds 3
 	$(BIN)/python -m benchmarks.thermocouple --seeds 1
+
+# Every tab of every recipe, drawn without a screen: needs mesa-vulkan-drivers, and chromium for the report.
+pictures: $(VENV)/.installed-test
+	$(BIN)/python -m benchmarks.pictures --out pictures
 
 lint: $(VENV)/.installed-test
 	$(BIN)/ruff check .

@@ -9,6 +9,7 @@ import numpy as np
 import polars as pl
 
 from ingest.log import TIME, Group, Log
+from pipeline.describing import about
 from pipeline.detector import Detector
 from pipeline.recipe import Recipe
 from stages.accommodate import accommodate
@@ -52,7 +53,7 @@ def diagnose(
     signals = block.groups.get(SIGNALS) or corrected(log, samples, verdict, detector)
     return Diagnosis(
         log=log, samples=samples, verdict=verdict, units=residual_units(block),
-        operating_map=_operating_map(detector, block), signals=signals,
+        operating_map=_operating_map(detector, block), signals=signals, about=about(detector),
     )  # fmt: skip
 
 

@@ -53,8 +53,8 @@ def write_run(diagnosis: Diagnosis, folder: Path, manifest: dict[str, Any], *, t
 
 def shown(diagnosis: Diagnosis) -> dict[str, Any]:
     """What pictures of the run show of its detector, for those that are made later."""
-    plane = diagnosis.operating_map
-    return {"map": plane.to_json()} if plane else {}
+    plane, about = diagnosis.operating_map, diagnosis.about
+    return {"map": plane and plane.to_json(), "about": about and about.to_json()}
 
 
 @contextmanager

@@ -14,7 +14,7 @@ from ingest.errors import LogError
 from ingest.files import read_header, read_log
 from ingest.log import TIME, Group, Log, Signal
 from pipeline.outputs import ADDED, ANNOTATED, MANIFEST, MEASURED, SAMPLES, SHOWN, SIGNALS, VERDICT
-from stages.results import Diagnosis, OperatingMap, Verdict
+from stages.results import About, Diagnosis, OperatingMap, Verdict
 from viz.series import at_times
 
 # what reading a damaged file raises
@@ -62,7 +62,7 @@ def read_run(folder: Path, *, values: bool = True) -> Diagnosis:
         return Diagnosis(
             log=log, samples=samples, verdict=verdict, units=_units(whole),
             operating_map=_operating_map(manifest.get(SHOWN) or {}, log, samples),
-            signals=_signals(folder / SIGNALS, whole),
+            signals=_signals(folder / SIGNALS, whole), about=_about(manifest.get(SHOWN) or {}),
         )  # fmt: skip
     except DAMAGE as error:
         raise LogError(f"{folder}: damaged ({type(error).__name__}: {error}); run its log again") from None
@@ -95,6 +95,11 @@ def _operating_map(shown: Mapping[str, Any], log: Log, samples: pl.DataFrame) ->
     names = (found[label].split(" [")[0] for label in ("x_label", "y_label"))
     x, y = (at_times(log, name, samples[TIME].to_numpy()) for name in names)
     return OperatingMap.from_json(found, x, y)
+
+
+def _about(shown: Mapping[str, Any]) -> About | None:
+    found = shown.get("about")
+    return About.from_json(found) if found else None
 
 
 def _signals(path: Path, annotated: Log) -> Group | None:

@@ -107,6 +107,50 @@ class OperatingMap:
         return cls(x_label=values["x_label"], y_label=values["y_label"], x=x, y=y, edges=edges, **arrays)
 
 
+@dataclass(frozen=True, kw_only=True)
+class Model:
+    """One relation that a detector uses: ``output`` as a function of ``inputs``.
+
+    ``regions``: of its local models, None where it is a single one; ``rms``: root mean square error on the
+    training logs, in ``unit``; ``selected``: whether the inputs were selected by the data, else the recipe
+    says them.
+    """
+
+    name: str
+    output: str
+    inputs: tuple[str, ...]
+    unit: str = ""
+    regions: int | None = None
+    rms: float | None = None
+    selected: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class About:
+    """What a detector is made of: its models, each residual's formula, the logs it learned from."""
+
+    models: tuple[Model, ...] = ()
+    residuals: Mapping[str, str] = field(default_factory=dict)
+    training: tuple[str, ...] = ()
+    calibration: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    def to_json(self) -> dict[str, Any]:
+        """
+        >>> one = About(models=(Model(name="f", output="y", inputs=("u",)),), residuals={"r": "y - f"})
+        >>> About.from_json(one.to_json()) == one
+        True
+        """
+        return asdict(self)
+
+    @classmethod
+    def from_json(cls, values: Mapping[str, Any]) -> Self:
+        """The inverse of :meth:`to_json`."""
+        models = tuple(Model(**{**m, "inputs": tuple(m["inputs"])}) for m in values["models"])
+        lists = {k: tuple(values[k]) for k in ("training", "calibration", "notes")}
+        return cls(models=models, residuals=dict(values["residuals"]), **lists)
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Diagnosis:
     """All that a run knows about one log.
@@ -115,6 +159,7 @@ class Diagnosis:
     residual ``residual.<r> sigma.<r> z.<r>``, ``detection``, per hypothesis ``evidence.<f>`` and ``p.<f>``.
     For a monitor's windows ``indicator.<i>`` stands in place of the residuals. ``units`` gives the unit of
     each. ``signals``: the monitored signals at their own rate, with what a healthy sensor would have read.
+    ``about``: what the detector is made of.
     """
 
     log: Log
@@ -123,3 +168,4 @@ class Diagnosis:
     units: Mapping[str, str] = field(default_factory=dict)
     operating_map: OperatingMap | None = None
     signals: Group | None = None
+    about: About | None = None

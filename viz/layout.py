@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import rerun as rr
 import rerun.blueprint as rrb
 
-from stages.results import OperatingMap
+from stages.results import Diagnosis, OperatingMap
+from viz.distributions import LEADS, bounds
 from viz.lanes import FAULT_LANES, REGIME
+from viz.model import MODEL
 from viz.monitoring import ERRORS, POLES, READINGS, Monitored
-from viz.operating_map import HEIGHT, MAP, SOM, TRAIL_S, WIDTH
+from viz.operating_map import MAP, SOM, TRAIL_S
+from viz.plane import HEIGHT, WIDTH
 from viz.residuals import Residual
 from viz.send import TIMELINE
 from viz.signals import LogContents, Panel
@@ -55,22 +58,27 @@ def log_layout(contents: LogContents, lanes: Sequence[str], span: tuple[float, f
 
 
 def run_layout(
+    diagnosis: Diagnosis,
     contents: LogContents,
     residuals: Sequence[Residual],
     lanes: Sequence[str],
     *,
-    plane: OperatingMap | None,
     monitored: Monitored | None,
+    spread: Mapping[str, str],
+    modelled: bool,
     span: tuple[float, float],
 ) -> rrb.Blueprint:
     """A run: one tab per question."""
+    plane = diagnosis.operating_map
     tabs = [
         _overview(contents, residuals, lanes, plane is not None),
         *signal_tabs(contents),
-        _residuals(residuals, lanes),
+        _residuals(residuals, lanes, diagnosis),
         *([_regimes(plane)] if plane else []),
-        *([_sensor(monitored, lanes)] if monitored else []),
-        _evidence(lanes),
+        *([_compensation(monitored, lanes)] if monitored else []),
+        _evidence(lanes, diagnosis),
+        *([_distributions(spread, diagnosis)] if spread else []),
+        *([_model()] if modelled else []),
     ]
     return _blueprint(tabs, span)
 
@@ -134,10 +142,12 @@ def _grid(views: Sequence[rrb.View], name: str | None = None) -> rrb.Container:
     return rrb.Grid(*views, grid_columns=1 if len(views) <= 5 else 2, name=name)
 
 
-def _residuals(residuals: Sequence[Residual], lanes: Sequence[str]) -> rrb.Container:
+def _residuals(residuals: Sequence[Residual], lanes: Sequence[str], diagnosis: Diagnosis) -> rrb.Container:
+    monitors = any(c.startswith("indicator.") for c in diagnosis.samples.columns)
+    name = "Indicators" if monitors else "Residuals"
     plots = _grid([_residual_view(residual, legend=len(residuals) <= 3) for residual in residuals])
     shown = [lane for lane in lanes if lane in (*FAULT_LANES, REGIME)]
-    return rrb.Vertical(plots, *_lane_view(FAULTS, shown), row_shares=_shares([1.0], shown), name="Residuals")
+    return rrb.Vertical(plots, *_lane_view(FAULTS, shown), row_shares=_shares([1.0], shown), name=name)
 
 
 def _regimes(plane: OperatingMap) -> rrb.Container:
@@ -151,18 +161,33 @@ def _regimes(plane: OperatingMap) -> rrb.Container:
     return rrb.Horizontal(_map_view(), rrb.Vertical(som, tables, row_shares=[4, 5]), name="Regimes")
 
 
-def _evidence(lanes: Sequence[str]) -> rrb.Container:
+def _evidence(lanes: Sequence[str], diagnosis: Diagnosis) -> rrb.Container:
     shown = [lane for lane in lanes if lane in FAULT_LANES]
-    return rrb.Vertical(
-        _plot("Probability of each hypothesis [1]", ["/probability/leading"], (-0.03, 1.03)),
-        _plot("Evidence: log-likelihood ratio to the fault-free case [1]", ["/evidence/leading"]),
-        *_lane_view(FAULTS, shown),
-        row_shares=_shares([1.0, 1.0], shown),
-        name="Evidence",
-    )
+    views = [_plot("Probability of each hypothesis [1]", ["/probability/leading"], (-0.03, 1.03))]
+    if any(c.startswith("evidence.") for c in diagnosis.samples.columns):
+        words = "Evidence for each hypothesis: log-likelihood ratio to the fault-free case [nats]"
+        views.append(_plot(words, ["/evidence/leading"]))
+    shares = _shares([1.0] * len(views), shown)
+    return rrb.Vertical(*views, *_lane_view(FAULTS, shown), row_shares=shares, name="Evidence")
 
 
-def _sensor(monitored: Monitored, lanes: Sequence[str]) -> rrb.Container:
+def _distributions(spread: Mapping[str, str], diagnosis: Diagnosis) -> rrb.Container:
+    views: list[rrb.View] = []
+    for path, title in spread.items():
+        if path == LEADS:
+            views.append(rrb.TextDocumentView(origin=path, name=title))
+        else:
+            views.append(_plane_view(path, title, *bounds(path, diagnosis)))
+    return rrb.Grid(*views, grid_columns=2, name="Distributions")
+
+
+def _model() -> rrb.Container:
+    """What the detector is made of. The plots of an input selection join here, as views beside the text."""
+    views: list[rrb.View] = [rrb.TextDocumentView(origin=MODEL, name="What the detector is made of")]
+    return rrb.Horizontal(*views, name="Model")
+
+
+def _compensation(monitored: Monitored, lanes: Sequence[str]) -> rrb.Container:
     shown = [lane for lane in lanes if lane in FAULT_LANES]
     plots = [
         _plot(title, [path], range_)
@@ -175,16 +200,9 @@ def _sensor(monitored: Monitored, lanes: Sequence[str]) -> rrb.Container:
         shares = _shares([1.0] * len(plots), shown)
         parts.append(rrb.Vertical(*plots, *_lane_view(FAULTS, shown), row_shares=shares))
     if monitored.poles:
-        x, y = monitored.poles
-        parts.append(
-            rrb.Spatial2DView(
-                origin=POLES,
-                name="Poles of plant and sensor · distance in decades · dark to bright: time · white: cursor",
-                background=rrb.Background(color=BACKGROUND),
-                visual_bounds=rrb.VisualBounds2D(x_range=list(x), y_range=list(y)),
-            )
-        )
-    return rrb.Horizontal(*parts, column_shares=[3, 2][: len(parts)], name="Sensor")
+        title = "Poles of plant and sensor · distance in decades · dark to bright: time · white: cursor"
+        parts.append(_plane_view(POLES, title, *monitored.poles))
+    return rrb.Horizontal(*parts, column_shares=[3, 2][: len(parts)], name="Compensation")
 
 
 def _map_view() -> rrb.Spatial2DView:
@@ -199,6 +217,15 @@ def _map_view() -> rrb.Spatial2DView:
         background=rrb.Background(color=BACKGROUND),
         visual_bounds=rrb.VisualBounds2D(x_range=[-10, WIDTH + 5], y_range=[-HEIGHT - 9, 12]),
         overrides={f"{MAP}/trail": [trail]},
+    )
+
+
+def _plane_view(path: str, title: str, x: tuple[float, float], y: tuple[float, float]) -> rrb.Spatial2DView:
+    return rrb.Spatial2DView(
+        origin=path,
+        name=title,
+        background=rrb.Background(color=BACKGROUND),
+        visual_bounds=rrb.VisualBounds2D(x_range=list(x), y_range=list(y)),
     )
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
@@ -12,9 +10,9 @@ from stages.results import Diagnosis, OperatingMap
 from viz import send
 from viz.colours import DIM, GREY, WHITE, of_index, ramp
 from viz.lanes import regime_name
-from viz.series import Array, limits, tick_step
+from viz.plane import Axes, frame, text
+from viz.series import Array
 
-WIDTH, HEIGHT = 100.0, 75.0
 SAMPLES = 6000
 """Samples drawn on the map, evenly taken."""
 CURSOR_HZ = 5.0
@@ -22,65 +20,16 @@ TRAIL_S = 20.0
 MAP, SOM = "/map", "/som"
 
 
-@dataclass(frozen=True, kw_only=True)
-class Axes:
-    """The rectangle of the data that fills the picture; pictures count y downwards."""
-
-    x: tuple[float, float]
-    y: tuple[float, float]
-
-    @classmethod
-    def around(cls, points: Array) -> Axes:
-        """Round limits around the finite ones of ``points``, shape (n, 2)."""
-        finite = points[np.isfinite(points).all(axis=1)]
-        finite = finite if finite.size else np.zeros((1, 2))
-        (x0, y0), (x1, y1) = finite.min(axis=0), finite.max(axis=0)
-        return cls(x=limits(x0, x1), y=limits(y0, y1))
-
-    def place(self, points: Array) -> Array:
-        """Data (n, 2) to picture coordinates (n, 2)."""
-        x = (points[:, 0] - self.x[0]) / (self.x[1] - self.x[0]) * WIDTH
-        y = (points[:, 1] - self.y[0]) / (self.y[1] - self.y[0]) * -HEIGHT
-        return np.stack([x, y], axis=1)
-
-
 def log_operating_map(rec: rr.RecordingStream, diagnosis: Diagnosis, plane: OperatingMap) -> None:
     """The map below ``/map`` and the self-organising map below ``/som``."""
     data = np.stack([plane.x, plane.y], axis=1)
     axes = Axes.around(np.concatenate([data, plane.nodes]))
     regime = diagnosis.samples["regime"].fill_null(-1).to_numpy()
-    _log_frame(rec, axes, plane)
+    frame(rec, MAP, axes, plane.x_label, plane.y_label)
     _log_samples(rec, axes.place(data), regime)
     _log_regions(rec, axes.place(plane.nodes), plane)
     _log_cursor(rec, diagnosis.samples["time"].to_numpy(), axes.place(data))
     _log_som(rec, plane)
-
-
-def _log_frame(rec: rr.RecordingStream, axes: Axes, plane: OperatingMap) -> None:
-    grid, at, text = [], [], []
-    for low, high, across in ((*axes.x, True), (*axes.y, False)):
-        step = tick_step(low, high)
-        for value in np.arange(low, high + step / 2, step):
-            share = (value - low) / (high - low)
-            x, y = share * WIDTH, -share * HEIGHT
-            grid.append([[x, 0.0], [x, -HEIGHT]] if across else [[0.0, y], [WIDTH, y]])
-            at.append([x, 2.5] if across else [-3.5, y - 1.0])
-            text.append(f"{value:.6g}")
-    rec.log(f"{MAP}/grid", rr.LineStrips2D(grid, colors=DIM, radii=rr.Radius.ui_points(0.5)), static=True)
-    _log_text(rec, f"{MAP}/ticks", at, text, GREY)
-    ends = [[WIDTH / 2, 7.5], [8.0, -HEIGHT - 4.5]]
-    _log_text(rec, f"{MAP}/axes", ends, [plane.x_label, plane.y_label], WHITE)
-
-
-def _log_text(
-    rec: rr.RecordingStream,
-    path: str,
-    at: list[list[float]] | Array,
-    text: list[str],
-    colour: tuple[int, int, int],
-) -> None:
-    radii = rr.Radius.ui_points(0.0)
-    rec.log(path, rr.Points2D(at, labels=text, colors=colour, radii=radii, show_labels=True), static=True)
 
 
 def _log_samples(rec: rr.RecordingStream, placed: Array, regime: NDArray[np.int64]) -> None:
@@ -95,7 +44,7 @@ def _log_regions(rec: rr.RecordingStream, nodes: Array, plane: OperatingMap) -> 
     """Region centres, their size the visits, joined as on the self-organising map."""
     colours = np.array([of_index(i) for i in range(len(nodes))], dtype=np.uint8).reshape(-1, 3)
     _log_nodes(rec, f"{MAP}/regions", nodes, plane, colours, most=10.0)
-    _log_text(
+    text(
         rec, f"{MAP}/names", nodes + np.array([0.0, 3.2]), [regime_name(i) for i in range(len(nodes))], WHITE
     )
 
@@ -168,4 +117,4 @@ def _log_som(rec: rr.RecordingStream, plane: OperatingMap) -> None:
     at = 10.0 * lattice(plane.edges, len(plane.nodes))
     _log_nodes(rec, f"{SOM}/regions", at, plane, ramp(plane.spread), most=22.0)
     known = [f"{regime_name(i)}: {visits:.0f}" for i, visits in enumerate(plane.visits)]
-    _log_text(rec, f"{SOM}/names", at + np.array([0.0, 2.2]), known, WHITE)
+    text(rec, f"{SOM}/names", at + np.array([0.0, 2.2]), known, WHITE)

@@ -30,7 +30,7 @@ from viz.evidence import leading, table
 from viz.layout import KEY_SIGNALS
 from viz.residuals import WIDTH, column, names, view_range
 from viz.series import Array, break_at_gaps, envelope, spans
-from viz.statistics import abscissa, cdf, in_alarm, regime_signature, signature
+from viz.statistics import abscissa, cdf, in_alarm, regime_signature, signature, telling
 from viz.svg import FAINT, INK
 
 POINTS = 480
@@ -61,12 +61,6 @@ def timeline_plot(diagnosis: Diagnosis) -> Any:
     _lanes(next(rest), diagnosis)
     axes[-1].set_xlabel("time [s]")
     return figure
-
-
-def telling(samples: pl.DataFrame) -> list[str]:
-    """The residuals' names, the most telling one first."""
-    strength = {n: abs(v) if np.isfinite(v) else -1.0 for n, v in signature(samples).items()}
-    return sorted(strength, key=lambda n: -strength[n])
 
 
 def _signal(ax: Any, diagnosis: Diagnosis, name: str) -> None:

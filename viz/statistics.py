@@ -25,6 +25,12 @@ def signature(samples: pl.DataFrame) -> dict[str, float]:
     return {name: _mean(column(samples, f"z.{name}")[rows]) for name, _ in names(samples)}
 
 
+def telling(samples: pl.DataFrame) -> list[str]:
+    """The residuals' names, the most telling one first."""
+    strength = {n: abs(v) if np.isfinite(v) else -1.0 for n, v in signature(samples).items()}
+    return sorted(strength, key=lambda n: -strength[n])
+
+
 def _mean(values: Array) -> float:
     finite = values[np.isfinite(values)]
     return float(finite.mean()) if finite.size else float("nan")

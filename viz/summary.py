@@ -118,6 +118,8 @@ def agreement(verdict: Verdict, injected: Iterable[Event]) -> str:
         return "correct"
     if verdict.fault in ("none", "insufficient_evidence"):
         return "missed"
+    if verdict.fault == "unknown":
+        return "noticed, not named"
     return "one of the injected faults" if named <= faults else "wrong"
 
 

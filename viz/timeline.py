@@ -15,9 +15,11 @@ from ingest.errors import LogError
 from ingest.log import Log
 from stages.results import Diagnosis
 from viz import send
+from viz.distributions import log_distributions
 from viz.evidence import log_evidence
 from viz.lanes import log_event_lanes, log_lanes
 from viz.layout import log_layout, run_layout
+from viz.model import log_model
 from viz.monitoring import log_monitoring
 from viz.operating_map import log_operating_map
 from viz.residuals import log_residuals
@@ -51,12 +53,23 @@ def log_diagnosis(rec: rr.RecordingStream, diagnosis: Diagnosis) -> None:
     lanes = log_lanes(rec, diagnosis)
     log_evidence(rec, diagnosis)
     monitored = log_monitoring(rec, diagnosis)
+    spread = log_distributions(rec, diagnosis)
+    modelled = log_model(rec, diagnosis)
     send.markdown(rec, "/summary", summary(diagnosis, contents.remarks))
     plane = diagnosis.operating_map
     if plane is not None:
         log_operating_map(rec, diagnosis, plane)
         send.markdown(rec, "/regimes", regime_table(diagnosis))
-    layout = run_layout(contents, residuals, lanes, plane=plane, monitored=monitored, span=span)
+    layout = run_layout(
+        diagnosis,
+        contents,
+        residuals,
+        lanes,
+        monitored=monitored,
+        spread=spread,
+        modelled=modelled,
+        span=span,
+    )
     rec.send_blueprint(layout, make_active=True, make_default=True)
 
 

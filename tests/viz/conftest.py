@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from ingest.log import Event, Group, Log, Signal
-from stages.results import Diagnosis, Magnitude, OperatingMap, Verdict
+from stages.results import About, Diagnosis, Magnitude, Model, OperatingMap, Verdict
 
 ONSET, DETECTED, DURATION = 200.0, 206.0, 600.0
 GAP = (430.0, 444.0)
@@ -22,6 +22,12 @@ UNITS = {
     "W_HFM": "g/s",
     "u_Vnt": "%",
 }
+
+ABOUT = About(
+    models=(Model(name="f_Cyl", output="W_Cyl", inputs=("p_Int", "n_Eng"), unit="g/s", regions=8, rms=0.28),),
+    residuals={"r_cyl": "ln(W_Cyl / f_Cyl)", "r_dp": "p_Bst - p_Int - f_dp"},
+    training=("wltc, 0 to 1800 s",),
+)
 
 Array = NDArray[np.float64]
 
@@ -140,6 +146,7 @@ def diagnose(log: Log, seed: int = 2) -> Diagnosis:
         samples=pl.DataFrame(samples),
         verdict=verdict,
         units={"r_cyl": "1", "r_dp": "kPa"},
+        about=ABOUT,
         operating_map=plane,
     )
 

@@ -5,7 +5,8 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from viz.operating_map import HEIGHT, WIDTH, Axes, lattice, node_sizes
+from viz.operating_map import lattice, node_sizes
+from viz.plane import HEIGHT, WIDTH, Axes
 
 
 def grid(rows: int, columns: int) -> np.ndarray:

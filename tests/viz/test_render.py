@@ -35,11 +35,19 @@ def coloured(picture: Image.Image, colour: tuple[int, int, int], within: int = 2
 
 @needs_driver
 def test_every_tab_has_its_picture_without_complaints(pictures: dict[str, Image.Image]) -> None:
-    assert list(pictures) == ["overview", "signals", "residuals", "regimes", "evidence"]
+    assert list(pictures) == [
+        "overview",
+        "signals",
+        "residuals",
+        "regimes",
+        "evidence",
+        "distributions",
+        "model",
+    ]
     for name, picture in pictures.items():
         assert picture.size == (1920, 1080)
         lit = (np.asarray(picture).max(axis=2) > 60).mean()
-        assert lit > 0.02, name
+        assert lit > 0.01, name
 
 
 @needs_driver

@@ -28,7 +28,7 @@ def verdict(fault: str, detected: float | None = None) -> Verdict:
         ("none", ["boost_leak"], "missed"),
         ("insufficient_evidence", ["boost_leak"], "missed"),
         ("maf_gain", ["boost_leak"], "wrong"),
-        ("unknown", ["boost_leak"], "wrong"),
+        ("unknown", ["boost_leak"], "noticed, not named"),
         ("maf_gain", ["maf_gain", "boost_leak"], "one of the injected faults"),
     ],
 )
