@@ -14,7 +14,7 @@ from ingest.errors import DynoscopeError
 
 COMMANDS = (
     "demo", "simulate", "ingest", "inspect", "identify", "select", "fit", "run", "view", "recipe", "cache",
-    "explain", "detectors", "report",
+    "explain", "detectors", "report", "export",
     "retrain",
 )  # fmt: skip
 DONE, FAILED, WRONG = 0, 1, 2

@@ -43,7 +43,7 @@ def log_distributions(rec: rr.RecordingStream, diagnosis: Diagnosis) -> dict[str
         shown, means = list(signature(samples)), np.array([*signature(samples).values()])[:, None]
     heads = [regime_name(r) for r in regimes] or ["all"]
     matrix(rec, BY_REGIME, means, shown, heads, limit=6.0)
-    titles[BY_REGIME] = f"Signature: mean z of each residual in each regime, {when}"
+    titles[BY_REGIME] = f"Signature: mean z {'by regime, ' if regimes else ''}{when}"
     if words := _leads(diagnosis):
         send.markdown(rec, LEADS, words)
         titles[LEADS] = "Isolability: how far behind the other hypotheses are"

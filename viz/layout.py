@@ -12,7 +12,7 @@ from stages.results import Diagnosis, OperatingMap
 from viz.distributions import LEADS, bounds
 from viz.lanes import FAULT_LANES, REGIME
 from viz.model import MODEL
-from viz.monitoring import ERRORS, POLES, READINGS, Monitored
+from viz.monitoring import ERRORS, POLES, READINGS, TRUTH, Monitored
 from viz.operating_map import MAP, SOM, TRAIL_S
 from viz.plane import HEIGHT, WIDTH
 from viz.residuals import Residual
@@ -122,7 +122,8 @@ def _shares(plots: Sequence[float], lanes: Sequence[str]) -> list[float]:
 def overview_panels(panels: Sequence[Panel], count: int) -> list[Panel]:
     """The panels that hold the key signals, in their order, then the first others."""
     keyed = [panel for key in KEY_SIGNALS for panel in panels if key in panel.signals]
-    return list(dict.fromkeys([*keyed, *panels]))[:count]
+    measured = [panel for panel in panels if not all(name.startswith(TRUTH) for name in panel.signals)]
+    return list(dict.fromkeys([*keyed, *(measured or panels)]))[:count]
 
 
 def signal_tabs(contents: LogContents) -> list[rrb.Container]:

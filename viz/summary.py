@@ -31,10 +31,10 @@ WORDS = {
     "sensor_stuck": "Sensor stuck",
     "sensor_noise": "Sensor noisy",
     "sensor_offset": "Sensor off by an offset",
-    "tps_time_constant": "Throttle position sensor has another speed",
-    "tps_gain": "Throttle position sensor has another gain",
-    "motor_torque_constant": "Throttle motor has another torque constant",
-    "back_emf_constant": "Throttle motor has another back e.m.f. constant",
+    "tps_time_constant": "Throttle position sensor's speed has changed",
+    "tps_gain": "Throttle position sensor's gain has changed",
+    "motor_torque_constant": "Throttle motor's torque constant has changed",
+    "back_emf_constant": "Throttle motor's back e.m.f. constant has changed",
 }
 """Faults as people call them; others bear their own names."""
 
