@@ -11,7 +11,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.innovations import Fit, Structure, fit
+from stages.innovations import Fit, fit, loss
+from stages.structure import Structure
 from stages.subspace import identify, lag_gram
 from stages.trend import Trend
 from stages.two_rate import TwoRate
@@ -117,11 +118,11 @@ class Innovations:
         where tau has jumped: then that may be a wrong minimum."""
         last = memory.parameters
         held = np.zeros(last.size)
-        held[: structure.plant_order + 2] = self.walk**-2
+        held[: structure.plant_order + 2 + structure.zeros] = self.walk**-2
         fits = [fit(structure, u, y, last, last, np.diag(held), state)]
         jumped = abs(fits[0].p[0] - last[0]) > JUMP * np.sqrt(fits[0].covariance[0, 0])
         for p in self.start.starts(structure, u, y, last):
-            if jumped or structure.loss(p, u, y) + (p - last) @ (held * (p - last)) < fits[0].loss:
+            if jumped or loss(structure, p, u, y) + (p - last) @ (held * (p - last)) < fits[0].loss:
                 near = fit(structure.stiff, u, y, p, last, np.diag(held), state).p
                 fits.append(fit(structure, u, y, near, last, np.diag(held), state))
         return min(fits, key=lambda f: f.loss)

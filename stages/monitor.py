@@ -29,10 +29,10 @@ from ingest.errors import LogError, RecipeError
 from ingest.log import TIME, Group, Log, Signal
 from stages.deciding import Belief, Decision, probabilities
 from stages.estimators import Estimate, EstimatorName, Innovations, Memory, Printed
-from stages.innovations import Structure
 from stages.residuals import SIGMA, Z
 from stages.results import DETECTION, EVIDENCE, PROBABILITY, SIZE, SIZE_SD, UNKNOWN
 from stages.stage import ANALYSIS, Arrays, Stage, columns
+from stages.structure import Structure
 from stages.templates import Template
 from stages.tracking import Reference
 from stages.two_rate import TwoRate
@@ -65,7 +65,8 @@ class Monitor:
     ``plant`` name the indicators: ``tau_<sensor> k_<sensor> k_<plant> a1 a2 ...``.
 
     ``faults`` maps a fault to the factors by which it changes indicators, see
-    :class:`stages.templates.Template`. ``drifting``: coefficients a_i that may drift inside a window.
+    :class:`stages.templates.Template`. ``plant_zeros``: how many zeros the plant has; they are estimated
+    along. ``drifting``: coefficients a_i that may drift inside a window.
     ``floor``: changes smaller than this are not told from the model's own imperfection. ``step_s``: from one
     window's start to the next; 0: they adjoin. ``estimator = "printed"``: Chapter III as printed, to compare.
 
@@ -74,7 +75,7 @@ class Monitor:
         LogError: another sampling rate than ``rate_hz``; fault-free logs without a usable window.
     """
 
-    version: ClassVar[str] = "1"
+    version: ClassVar[str] = "2"
     learns_from: ClassVar[Literal["training"]] = "training"
     starts_unfitted: ClassVar[bool] = True
     input: str
@@ -84,6 +85,7 @@ class Monitor:
     plant: str
     plant_order: int
     faults: Mapping[str, Mapping[str, str]]
+    plant_zeros: int = 0
     drifting: tuple[int, ...] = ()
     window_s: float = 1.0
     step_s: float = 0.0
@@ -103,6 +105,9 @@ class Monitor:
         coefficients = range(1, self.plant_order + 1)
         rules = {
             f"plant_order = {self.plant_order} must be at least 1": self.plant_order >= 1,
+            f"plant_zeros = {self.plant_zeros} must be 0 or more, and fewer than plant_order": (
+                0 <= self.plant_zeros < max(self.plant_order, 1)
+            ),
             f"rate_hz = {self.rate_hz:g} must be positive": self.rate_hz > 0.0,
             f"reference_s = {self.reference_s:g} must be at least {LEAST_WINDOWS} windows": (
                 self.reference_s >= LEAST_WINDOWS * self.window_s
@@ -146,7 +151,12 @@ class Monitor:
 
     @cached_property
     def _estimator(self) -> Innovations | Printed:
-        structure = Structure(plant_order=self.plant_order, dt=1.0 / self.rate_hz, drifting=self.drifting)
+        structure = Structure(
+            plant_order=self.plant_order,
+            zeros=self.plant_zeros,
+            dt=1.0 / self.rate_hz,
+            drifting=self.drifting,
+        )
         if self.estimator == "printed":
             return Printed(structure=structure, horizon=self.horizon)
         start = TwoRate(decimation=self.decimation, horizon=self.horizon)

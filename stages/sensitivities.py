@@ -26,6 +26,7 @@ def _add_products(columns: Array, rows: int, G: Array) -> None:  # pragma: no co
 @njit(cache=True)
 def gram(
     order: Unrolled,
+    zeros: Unrolled,
     noise: Unrolled,
     drifts: Unrolled,
     u: Array,
@@ -41,17 +42,19 @@ def gram(
 ) -> tuple[Array, Array]:  # pragma: no cover - compiled
     """``V' V`` of the whitened columns V over a window, shape (width, width).
 
-    Columns: sensitivities of the output to ln tau, ln b, ln a_1 ... ln a_n, those of the innovations to
-    a and gamma, responses to the initial states (n + 1), to drift of the output's gain, to drifts of b
-    (0) or a_i (i), and the innovations. States: plant (n), sensor, sensor again, plant again; the
-    second copies make the sensitivities, as ``dy / d ln tau = y / (tau s + 1) - y`` and ``dy / d a_i =
-    -s^(n-i) y / A(s)``. ``Ad`` and ``Bd`` advance them.
+    Columns: sensitivities of the output to ln tau, ln b, ln a_1 ... ln a_n, z_1 ... z_m, those of the
+    innovations to a and gamma, responses to the initial states (n + 1), to drift of the output's gain, to
+    drifts of b (0) or a_i (i), and the innovations. States: plant (n), sensor, sensor again, plant again,
+    and a sensor for each of the plant's first m derivatives; the copies make the sensitivities, as ``dy / d
+    ln tau = y / (tau s + 1) - y``, ``dy / d a_i = -s^(n-i) y / A(s)``, and ``dy / d z_i`` is the sensor's
+    reading of the plant's i-th derivative. ``Ad`` and ``Bd`` advance them.
 
-    ``order``, ``noise``, ``drifts``: tuples whose lengths are the numbers n of plant coefficients, M of gamma
-    and D of drifts. Lengths are part of the compiled signature, so the loops are unrolled by them; of a
-    closure over n, M, D numba's cache mixes up one with another."""
-    n, M, D = len(order), len(noise), len(drifts)
-    S, first_x0 = 2 * n + 2, n + 3 + M
+    ``order``, ``zeros``, ``noise``, ``drifts``: tuples whose lengths are the numbers n of plant coefficients,
+    m of zeros, M of gamma and D of drifts. Lengths are part of the compiled signature, so the loops are
+    unrolled by them; of a closure over n, m, M, D numba's cache mixes up one with another."""
+    n, m, M, D = len(order), len(zeros), len(noise), len(drifts)
+    last, S, pole = 2 * n + 1, 2 * n + 2 + m, n + 2 + m
+    first_x0 = pole + 1 + M
     first_drift = first_x0 + n + 1
     width = first_drift + D + 2
     N = u.size
@@ -70,7 +73,9 @@ def gram(
         level = 1.0 + gain_drift * when
         raw[0], raw[1] = level * (x[n + 1] - x[n]), level * x[n]
         for i in range(n):
-            raw[2 + i] = -level * scale[i] * x[S - 1 - i]
+            raw[2 + i] = -level * scale[i] * x[last - i]
+        for i in range(m):
+            raw[2 + n + i] = level * x[last + 1 + i]
         for i in range(n + 1):
             raw[first_x0 + i] = level * free[i]
         raw[first_drift] = when * x[n]
@@ -80,10 +85,10 @@ def gram(
         # whitened by (q - a) (q - phi) / C; a and gamma act on that filter's own signals
         for i in range(width):
             new_white[i] = raw[i] - (a + phi) * before[i] + a * phi * before2[i]
-        new_white[n + 2] = before[width - 1] - phi * before2[width - 1]
-        new_white[n + 3] = white[width - 1]
+        new_white[pole] = before[width - 1] - phi * before2[width - 1]
+        new_white[pole + 1] = white[width - 1]
         if M > 1:
-            new_white[n + 2 + M] = white2[width - 1]
+            new_white[pole + M] = white2[width - 1]
         for i in range(width):
             new_white[i] -= c1 * white[i] + c2 * white2[i]
             white2[i], white[i] = white[i], new_white[i]

@@ -36,6 +36,21 @@ class StateSpace:
         """Static gain of every output to every input, shape (l, m)."""
         return np.asarray(self.C @ np.linalg.solve(np.eye(len(self.A)) - self.A, self.B) + self.D)
 
+    @property
+    def numerators(self) -> Array:
+        """Coefficients of 1, s, s^2 ... s^n in the numerator of each continuous transfer function, over that
+        of 1, shape (l, m, n + 1): of the system that gives this model when its inputs are held."""
+        eigenvalues, V = np.linalg.eig(self.A)
+        held = np.log(eigenvalues.astype(complex)) / ((eigenvalues - 1.0) * self.dt)
+        poles = np.log(eigenvalues.astype(complex)) / self.dt
+        residues = (self.C @ V)[:, None, :] * (np.linalg.solve(V, self.B.astype(complex)) * held[:, None]).T
+        out = np.zeros((*self.D.shape, len(poles) + 1), dtype=complex)
+        for j in range(len(poles)):
+            out[..., 1:] += residues[..., j, None] * np.poly(np.delete(poles, j))
+        out += self.D[..., None] * np.poly(poles)
+        numerator = out[..., ::-1].real
+        return np.asarray(numerator / numerator[..., :1], dtype=np.float64)
+
     def simulate(self, u: Array, x0: Array | None = None) -> Array:
         """Outputs (N, l) without noise for inputs (N, m)."""
         x = np.zeros(len(self.A)) if x0 is None else x0

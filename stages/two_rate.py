@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ingest.errors import LogError
-from stages.innovations import Structure, pack
+from stages.structure import Structure, pack
 from stages.subspace import identify, lag_gram
 
 Array = NDArray[np.float64]
@@ -49,9 +49,9 @@ class TwoRate:
         slow = windows[:, :: self.decimation] @ self._low_pass
         return slow[:1].T, slow[1:].T
 
-    def plant(self, structure: Structure, u: Array, y: Array) -> tuple[float, Array, float] | None:
-        """b, (a_1 ... a_n) and the fastest pole in 1/s; None where no stable plant with positive b is
-        found."""
+    def plant(self, structure: Structure, u: Array, y: Array) -> tuple[float, Array, Array, float] | None:
+        """b, (a_1 ... a_n), (z_1 ... z_m) in units of a_n, and the fastest pole in 1/s; None where no stable
+        plant with positive b is found."""
         try:
             gram = lag_gram(*self.decimated(u, y), self.horizon)
             model = identify(gram, structure.dt * self.decimation, order=structure.plant_order).model
@@ -62,16 +62,22 @@ class TwoRate:
         a_i = np.real(np.poly(poles))[1:]
         b = float(model.gains[0, 0]) * a_i[-1]
         usable = np.isfinite(b) and b > 0.0 and (a_i > 0.0).all() and (poles.real < 0.0).all()
-        return (b, a_i, float(np.abs(poles).max())) if usable else None
+        if not usable:
+            return None
+        z = model.numerators[0, 0, 1 : structure.zeros + 1] * a_i[-1] ** (
+            np.arange(1, structure.zeros + 1) / structure.plant_order
+        )
+        return b, a_i, np.where(np.isfinite(z), z, 0.0), float(np.abs(poles).max())
 
     def starts(self, structure: Structure, u: Array, y: Array, last: Array | None) -> list[Array]:
         """Parameter vectors to choose from; ``last``: that of an earlier window, whose sensor is taken on."""
         found = self.plant(structure, u, y)
         if found is None:
             return []
-        b, a_i, fastest = found
+        b, a_i, z, fastest = found
         if last is not None:
-            return [pack(float(np.exp(last[0])), b, a_i, last[structure.plant_order + 2 :])]
+            gamma = last[structure.plant_order + 2 + structure.zeros :]
+            return [pack(float(np.exp(last[0])), b, a_i, np.append(z, gamma))]
         candidates = structure.dt * 2.0 ** np.arange(-1, 8)
-        white = np.zeros(structure.noise_order)
-        return [pack(float(tau), b, a_i, white) for tau in candidates if tau * fastest < 1.0 / SEPARATION]
+        rest = np.append(z, np.zeros(structure.noise_order))
+        return [pack(float(tau), b, a_i, rest) for tau in candidates if tau * fastest < 1.0 / SEPARATION]

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from ingest.simulators.throttle import Throttle, plant_coefficients, simulate_throttle
-from stages.innovations import Fit, Structure, _covariances, fit, pack, unpack
+from stages.innovations import Fit, _covariances, fit
+from stages.structure import Structure, pack, unpack
 
 Array = NDArray[np.float64]
 P = Throttle()
@@ -43,7 +44,7 @@ def test_spectra_of_both_descriptions_agree(tau: float, k_w: float, sd_n: float)
     p = pack(tau, 1.0, np.array([1.0]), np.array([-c]))
     found = Fit(
         p=p, covariance=np.eye(4), still=np.eye(4), variance=odd / c, state=np.zeros(2), loss=0.0,
-        samples=100, dt=1e-4,
+        samples=100, dt=1e-4, plant_order=1,
     )  # fmt: skip
     assert found.noise == pytest.approx((k_w, sd_n), rel=1e-3)
 
@@ -58,6 +59,7 @@ def test_indicators_jacobian_is_that_of_finite_differences() -> None:
         loss=0.0,
         samples=500,
         dt=1e-4,
+        plant_order=3,
     )
     step, columns = 1e-6, []
     for i in range(6):
@@ -173,8 +175,9 @@ def test_a_window_at_rest_keeps_the_prior_and_says_so() -> None:
 
 
 def test_pack_and_unpack() -> None:
-    tau, b, a_i, gamma = unpack(TRUTH, 3)
-    np.testing.assert_allclose(pack(tau, b, a_i, gamma), TRUTH)
+    tau, b, a_i, z, gamma = unpack(TRUTH, 3)
+    np.testing.assert_allclose(pack(tau, b, a_i, np.append(z, gamma)), TRUTH)
+    assert z.size == 0
     np.testing.assert_allclose([tau, b, *a_i], [P.tau_TPS, B * P.k_TPS, *A_I], rtol=1e-9)
 
 
@@ -197,7 +200,7 @@ def test_coloured_disturbance_is_fitted_with_its_pole() -> None:
 def test_compiled_loops_of_other_orders_are_not_taken_for_each_other(tmp_path: Path) -> None:
     """One compiled, the other compiled beside the first from the cache, then both from the cache."""
     code = (
-        "import sys, numpy as np; from stages.innovations import Structure, pack\n"
+        "import sys, numpy as np; from stages.structure import Structure, pack\n"
         "for n in map(int, sys.argv[1:]):\n"
         "    s, a = Structure(plant_order=n, dt=0.01), np.poly(-np.arange(1.0, n + 1.0))[1:]\n"
         "    z = np.random.default_rng(0).normal(size=(2, 99))\n"
