@@ -100,12 +100,13 @@ def detector(tolerance: int, egr: bool) -> Detector:
 
 def judged(case: Case) -> Found:
     """The verdict on a drive."""
-    log = simulate_airpath(cycle=case.cycle, seed=case.seed, tolerance=case.tolerance)
-    onset, length = log.span[1] / 3, log.span[1]
-    end = None if case.end is None else case.end * length
-    if case.fault != "none":
-        fault = Fault(name=case.fault, magnitude=case.magnitude, onset_s=onset, ramp_s=case.ramp_s, end_s=end)
-        log = simulate_airpath(cycle=case.cycle, seed=case.seed, tolerance=case.tolerance, faults=[fault])
+    onset = LENGTH_S[case.cycle] / 3
+    end = None if case.end is None else case.end * LENGTH_S[case.cycle]
+    fault = Fault(name=case.fault, magnitude=case.magnitude, onset_s=onset, ramp_s=case.ramp_s, end_s=end)
+    log = simulate_airpath(
+        cycle=case.cycle, seed=case.seed, tolerance=case.tolerance, egr=case.egr,
+        faults=[] if case.fault == "none" else [fault],
+    )  # fmt: skip
     diagnosis = diagnose(log, detector(case.tolerance, case.egr))
     verdict, samples = diagnosis.verdict, diagnosis.samples
     on = samples.filter(samples["detection"] == 1)["time"]

@@ -18,19 +18,19 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from stages.likelihood import add_sample, between, log_likelihood, peak, tame
+from stages.likelihood import SUMS, add_sample, fade, log_likelihoods, peak
 from stages.size_grid import Grid
 
 Array = NDArray[np.float64]
-ALARM, HELD, NAMED, SIZE, EVIDENCE, SINCE, DECIDED, RESTED, SEEN = range(9)  # clocks
-CLOCKS = 9
+ALARM, HELD, NAMED, SIZE, EVIDENCE, SINCE, DECIDED, FADED, RESTED, SEEN, ACTIVE = range(11)  # clocks
+CLOCKS = 11
 QUANTILE = 1.645  # 95 % of a normal deviate lie below
 
 
 class Rows(NamedTuple):
-    """What is known of a block's rows; ``e sigma doubt`` (active rows, points, residuals), ``shapes`` (active
-    rows, residuals, 2) and ``known`` (active rows, residuals) only of those ``active``; ``place`` (rows,
-    any): the operating point, a rest ends 1 away from where it began."""
+    """What is known of a block's rows; ``e sigma ln_sigma doubt`` (active rows, residuals, points),
+    ``shapes`` (active rows, residuals, 2) and ``known`` (active rows, residuals) only of those ``active``;
+    ``place`` (rows, any): the operating point, a rest ends 1 away from where it began."""
 
     dt: Array
     active: NDArray[np.bool_]
@@ -38,6 +38,7 @@ class Rows(NamedTuple):
     known: Array
     e: Array
     sigma: Array
+    ln_sigma: Array
     doubt: Array
     shapes: Array
 
@@ -61,11 +62,12 @@ class Settings(NamedTuple):
 
 class Memory(NamedTuple):
     """What the recursion remembers, changed in place: sums by memory (the episode's and the rest's last),
-    point and residual; those of the rest at earlier seconds and their times; where it began; log-likelihood
-    ratios that an episode began with; clocks; the largest evidence so far, and the smallest size that would
-    have been seen; the last decision."""
+    residual and point; those since the last decision; those of the rest at earlier seconds and their times;
+    where it began; log-likelihood ratios that an episode began with; clocks; the largest evidence so far, and
+    the smallest size that would have been seen; the last decision."""
 
     S: Array
+    fresh: Array
     earlier: Array
     times: Array
     place: Array
@@ -81,20 +83,12 @@ class Memory(NamedTuple):
 
 
 @njit(cache=True)
-def likelihoods(S: Array, sd: Array, unknown_sd: Array) -> Array:  # pragma: no cover - compiled
-    """L of every point, the last, ``unknown``, with its own offsets."""
-    L = np.empty(S.shape[0])
-    for p in range(S.shape[0] - 1):
-        L[p] = log_likelihood(S[p], sd)
-    L[-1] = log_likelihood(S[-1], unknown_sd)
-    return L
-
-
-@njit(cache=True)
 def evidence_of(L: Array, grid: Grid) -> tuple[Array, Array, Array]:  # pragma: no cover - compiled
     """Evidence of every fault, and last of ``unknown``; sizes and their standard deviations."""
     F, H = grid.points.shape[0], len(L) - 1
-    healthy, top = 0.0, np.max(L[:H] + grid.prior)
+    healthy, top = 0.0, -np.inf
+    for p in range(H):
+        top = max(top, L[p] + grid.prior[p])
     for p in range(H):
         if grid.prior[p] > -np.inf:
             healthy += np.exp(L[p] + grid.prior[p] - top)
@@ -120,33 +114,39 @@ def nearest(points: NDArray[np.int64], sizes: Array, size: float) -> int:  # pra
 
 
 @njit(cache=True)
+def settle(memory: Memory, settings: Settings) -> None:  # pragma: no cover - compiled
+    """Let all sums fade by the time that has passed, and add the fresh ones."""
+    passed, two = memory.clocks[FADED], settings.sd[:, 1] > 0
+    for i in range(len(memory.S) if len(settings.ages) else len(memory.S) - 1):
+        fade(memory.S[i], np.exp(-passed / settings.memories[i]), memory.fresh, two)
+    memory.fresh[:] = 0.0
+    memory.clocks[FADED] = 0.0
+
+
+@njit(cache=True)
 def remember(
     memory: Memory, settings: Settings, grid: Grid, rows: Rows, k: int, row: int
 ) -> None:  # pragma: no cover - compiled
-    """Add row ``k``, the ``row``-th active one, to all sums."""
-    S, dt, memories = memory.S, rows.dt[k], settings.memories
-    for i in range(len(S)):
-        S[i] *= np.exp(-dt / memories[i])
-    memory.clocks[RESTED] += dt
+    """Add row ``k``, the ``row``-th active one, to the fresh sums."""
+    dt, clocks = rows.dt[k], memory.clocks
+    clocks[FADED] += dt
+    clocks[RESTED] += dt
     for j in range(len(memory.place)):
         if not abs(rows.place[k, j] - memory.place[j]) <= 1.0:
+            settle(memory, settings)
             memory.place[:] = rows.place[k]
-            S[-1] = 0.0
-            memory.clocks[RESTED] = 0.0
+            memory.S[-1] = 0.0
+            clocks[RESTED] = 0.0
             memory.times[:] = np.inf
             break
     if not rows.active[k]:
         return
-    weight = min(dt, settings.correlation) / settings.correlation * rows.known[row]
-    e = between(rows.e[row], grid.left, grid.right, grid.share)
-    sigma = between(rows.sigma[row], grid.left, grid.right, grid.share)
-    doubt = between(rows.doubt[row], grid.left, grid.right, grid.share)
-    ln_sigma = np.log(sigma)
-    tamed = tame(e, sigma, S[1, :-1], settings.clip, memory.clocks[SEEN])
-    memory.clocks[SEEN] += min(dt, settings.correlation) / settings.correlation
-    for i in range(len(S) if len(settings.ages) else len(S) - 1):
-        add_sample(S[i, :-1], tamed, sigma, ln_sigma, doubt, rows.shapes[row], weight)
-        add_sample(S[i, -1:], e[:1], sigma[:1], ln_sigma[:1], doubt[:1], rows.shapes[row], weight)
+    share = min(dt, settings.correlation) / settings.correlation
+    row_of = (rows.e[row], rows.sigma[row], rows.ln_sigma[row], rows.doubt[row])
+    weights, seen = share * rows.known[row], clocks[SEEN]
+    add_sample(memory.fresh, row_of, grid, rows.shapes[row], weights, memory.S[1], seen, settings.clip)
+    clocks[SEEN] += share
+    clocks[ACTIVE] = 1.0
 
 
 @njit(cache=True)
@@ -164,12 +164,17 @@ def step_likelihoods(
             place = i
     if place < 0:
         return np.empty(0)
-    before = memory.earlier[place] * np.exp(-(now - memory.times[place]) / settings.memories[-1])
-    sums = memory.S[-1] - before + before[0]
-    for p in range(len(grid.prior)):
-        if grid.prior[p] > -np.inf:  # what healthy logs show was there before
-            sums[p] = memory.S[-1, p]
-    return likelihoods(sums, settings.unknown_sd, settings.unknown_sd)
+    rest, before = memory.S[-1], memory.earlier[place]
+    kept, sums = np.exp(-(now - memory.times[place]) / settings.memories[-1]), np.empty(rest.shape)
+    R, P = rest.shape[0], rest.shape[2]
+    for r in range(R):
+        for k in range(SUMS):
+            for p in range(P):
+                sums[r, k, p] = rest[r, k, p] - kept * (before[r, k, p] - before[r, k, 0])
+            for p in range(P - 1):
+                if grid.prior[p] > -np.inf:  # what healthy logs show was there before
+                    sums[r, k, p] = rest[r, k, p]
+    return log_likelihoods(sums, settings.unknown_sd, settings.unknown_sd)
 
 
 @njit(cache=True)
@@ -193,7 +198,9 @@ def note_detectable(
     being healthy.
     """
     for f in range(len(detectable)):
-        from_zero = np.any(grid.points[f, : grid.counts[f]] == 0)
+        from_zero = False
+        for k in range(grid.counts[f]):
+            from_zero = from_zero or grid.points[f, k] == 0
         needed = 0.5 * (QUANTILE + np.sqrt(QUANTILE**2 + 2.0 * threshold[f])) ** 2
         for k in range(grid.counts[f]):
             gain = L[0] - L[grid.points[f, k]]
@@ -217,7 +224,7 @@ def decide(
             if not len(L):
                 continue
         else:
-            L = likelihoods(S[i], settings.sd, settings.unknown_sd)
+            L = log_likelihoods(S[i], settings.sd, settings.unknown_sd)
         evidence, size, size_sd = evidence_of(L, grid)
         if clocks[ALARM] == 1 and not stepped and i >= 1 and settings.memories[i] < clocks[SINCE]:
             f = int(clocks[NAMED])
@@ -231,11 +238,12 @@ def decide(
             if excess > memory.statistic[0]:
                 memory.statistic[0] = excess
                 if clocks[ALARM] == 0:
-                    memory.kept[:] = (L - L[0]) * stepped
+                    for p in range(len(L)):
+                        memory.kept[p] = L[p] - L[0] if stepped else 0.0
             if evidence[f] > memory.evidence[f]:
                 memory.evidence[f], memory.size[f], memory.size_sd[f] = evidence[f], size[f], size_sd[f]
     holds = over or clocks[EVIDENCE] < 0.0 if clocks[ALARM] == 1 else memory.statistic[0] > 0
-    clocks[HELD] = max(0.0, clocks[HELD] + elapsed) if holds else -elapsed
+    clocks[HELD] = clocks[HELD] + min(elapsed, 2.0 * settings.decide) if holds else 0.0
     clocks[SINCE] += elapsed
     if clocks[HELD] >= settings.confirm:
         if clocks[ALARM] == 0:
@@ -243,7 +251,9 @@ def decide(
             for p in range(len(grid.prior)):
                 if grid.prior[p] > -np.inf:
                     memory.kept[p] = 0.0
-            memory.kept[-1] = np.max(memory.kept[:-1])
+            memory.kept[-1] = -np.inf
+            for p in range(len(grid.prior)):
+                memory.kept[-1] = max(memory.kept[-1], memory.kept[p])
         else:
             S[2:T] = S[1]  # what the long memories hold is over
         begins = 1.0 - clocks[ALARM]
@@ -255,7 +265,9 @@ def decide(
 def judge(memory: Memory, settings: Settings, grid: Grid) -> None:  # pragma: no cover - compiled
     """Evidence of the episode and the probabilities, in alarm."""
     clocks, T, F = memory.clocks, len(memory.S) - 2, grid.points.shape[0]
-    L = likelihoods(memory.S[T], settings.sd, settings.unknown_sd) + memory.kept
+    L = log_likelihoods(memory.S[T], settings.sd, settings.unknown_sd)
+    for i in range(len(L)):
+        L[i] += memory.kept[i]
     evidence, memory.size[:], memory.size_sd[:] = evidence_of(L, grid)
     evidence[F] -= settings.penalty
     memory.evidence[:] = evidence
@@ -279,9 +291,10 @@ def follow(
         remember(memory, settings, grid, rows, k, row)
         row += rows.active[k]
         clocks[DECIDED] += rows.dt[k]
-        if clocks[DECIDED] >= settings.decide:
+        if clocks[ACTIVE] == 1 and clocks[DECIDED] >= settings.decide:  # else nothing new is known
             elapsed = clocks[DECIDED]
-            clocks[DECIDED] = 0.0
+            clocks[ACTIVE], clocks[DECIDED] = 0.0, 0.0
+            settle(memory, settings)
             decide(memory, settings, grid, elapsed)
             if len(settings.ages):
                 note_rest(memory)

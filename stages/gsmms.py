@@ -30,9 +30,9 @@ from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
 from ingest.errors import LogError
+from stages.evaluation import Evaluation, evaluate
 from stages.partition import CHUNK, Growth, Partition, grow
 
-BLOCKS = 20
 BLOCKS = 20
 Array = NDArray[np.float64]
 Combination = Literal["hard", "blended"]
@@ -57,38 +57,24 @@ class Gsmms:
     whiten: Array
     reach: float
 
+    def evaluate(self, S: Array) -> Evaluation:
+        """Prediction, doubt, novelty and region for normalised regressors ``S`` (N, d), each of shape (N,).
+
+        The doubt is the prediction's standard deviation for want of training data, in the unit of y. The
+        novelty is the whitened distance to the best matching region's training samples over ``reach``; above
+        1 the sample is out of the trained domain.
+        """
+        M, k = self.theta.shape
+        return Evaluation(
+            *evaluate(
+                np.ascontiguousarray(S), self.partition.nodes, self.width, self.theta,
+                self.root.reshape(M, k, -1), self.mean, self.whiten, self.reach,
+            )
+        )  # fmt: skip
+
     def predict(self, S: Array) -> Array:
         """``y`` for normalised regressors ``S`` (N, d), shape (N,); NaN where a regressor is missing."""
-        y = np.full(len(S), np.nan)
-        for k in range(0, len(S), CHUNK):
-            known = np.isfinite(S[k : k + CHUNK]).all(axis=1)
-            s = S[k : k + CHUNK][known]
-            y[k : k + CHUNK][known] = np.einsum("nm,nm->n", self.weights(s), _with_one(s) @ self.theta.T)
-        return y
-
-    def doubt(self, S: Array) -> Array:
-        """Standard deviation of the prediction for want of training data, in the unit of y, shape (N,)."""
-        out = np.full(len(S), np.nan)
-        for k in range(0, len(S), CHUNK):
-            known = np.isfinite(S[k : k + CHUNK]).all(axis=1)
-            s = S[k : k + CHUNK][known]
-            X = _with_one(s)
-            phi = (self.weights(s)[:, :, None] * X[:, None, :]).reshape(len(s), self.theta.size)
-            out[k : k + CHUNK][known] = np.sqrt(((phi @ self.root) ** 2).sum(axis=1))
-        return out
-
-    def weights(self, S: Array) -> Array:
-        """``nu_m(s)``, shape (N, M)."""
-        if self.width == 0:
-            return np.eye(len(self.theta))[self.partition.assign(S)]
-        return _blend(S, self.partition.nodes, self.width)
-
-    def novelty(self, S: Array) -> Array:
-        """Whitened distance to the best matching region's training samples over ``reach``, shape (N,); above
-        1 the sample is out of the trained domain, NaN where a regressor is missing."""
-        unit = self.partition.assign(S)
-        away = np.einsum("nij,nj->ni", self.whiten[unit], S - self.mean[unit])
-        return np.asarray(np.where(unit >= 0, np.sqrt((away**2).sum(axis=1)) / self.reach, np.nan))
+        return self.evaluate(S).prediction
 
     def to_arrays(self) -> dict[str, NDArray[np.float64] | NDArray[np.int64]]:
         return {

@@ -8,7 +8,7 @@ they nor their domain are asked for more than they know.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -108,37 +108,61 @@ class Points:
             made |= stage.adds
         return needed.union(*(h.needs for h in self.hypotheses))
 
+    @cached_property
+    def _plans(self) -> list[list[set[str]]]:
+        """By hypothesis and stage, the columns to compute anew: those that the residuals need and that are
+        made, at however many removes, from what the hypothesis corrects."""
+        goal = {kind + r for kind in (RESIDUAL, SIGMA, MODEL_SD, UNFAMILIAR) for r in self.residuals}
+        plans = []
+        for h in self.hypotheses:
+            changed, plan = {*h.undo}, []
+            for stage in self.chain:
+                before = {*changed}
+                for column, made_from in stage.sources().items():
+                    if not changed.isdisjoint(made_from):
+                        changed.add(column)
+                plan.append(changed - before)
+            needed = {*goal}
+            for columns, stage in zip(reversed(plan), reversed(self.chain), strict=True):
+                for column, made_from in reversed([*stage.sources().items()]):
+                    if column in columns and column in needed:
+                        needed |= made_from
+                columns &= needed
+            plans.append(plan)
+        return plans
+
     def evaluate(self, values: Mapping[str, Array], elapsed: Array) -> tuple[Array, Array, Array, Array]:
-        """Residuals, their spreads and the doubts of their relations, each (rows, points, residuals); and the
+        """Residuals, their spreads and the doubts of their relations, each (rows, residuals, points); and the
         least novelty that any point gives them, shape (rows, residuals)."""
         n, H, R = len(elapsed), self.count, len(self.residuals)
-        out = {kind: np.empty((n, H, R)) for kind in (RESIDUAL, SIGMA, MODEL_SD)}
-        novelty = np.empty((n, R))
+        e, sigma, doubt, novelty = (np.empty((n, R, H)) for _ in range(4))
         step = max(1, CHUNK // H)
         for k in range(0, n, step):
-            rows = slice(k, k + step)
-            computed = self._computed({c: x[rows] for c, x in values.items()}, elapsed[rows])
-            for i, r in enumerate(self.residuals):
-                for kind, array in out.items():
-                    array[rows, :, i] = computed[kind + r].reshape(H, -1).T
-                shift = out[RESIDUAL][rows, :, i] - out[RESIDUAL][rows, :1, i]
-                out[MODEL_SD][rows, :, i] = np.hypot(out[MODEL_SD][rows, :, i], self._inexact * shift)
-                far = np.nan_to_num(computed[UNFAMILIAR + r].reshape(H, -1), nan=np.inf)
-                novelty[rows, i] = far.min(axis=0)
-        return out[RESIDUAL], out[SIGMA], out[MODEL_SD], novelty
+            rows, start = slice(k, k + step), 0
+            for size, computed in self._computed({c: x[rows] for c, x in values.items()}, elapsed[rows]):
+                points = slice(start, start + size)
+                start += size
+                for i, r in enumerate(self.residuals):
+                    e[rows, i, points] = computed[RESIDUAL + r].T
+                    sigma[rows, i, points] = computed[SIGMA + r].T
+                    doubt[rows, i, points] = computed[MODEL_SD + r].T
+                    novelty[rows, i, points] = computed[UNFAMILIAR + r].T
+        doubt = np.hypot(doubt, self._inexact * (e - e[:, :, :1]))
+        return e, sigma, doubt, np.nan_to_num(novelty, nan=np.inf).min(axis=2)
 
-    def _computed(self, values: Mapping[str, Array], elapsed: Array) -> dict[str, Array]:
-        """The chain's columns for the points one after the other, shape (points * rows,)."""
-        n = len(elapsed)
-        stacked = {c: np.tile(x, self.count) for c, x in values.items()}
-        start = n
-        for h in self.hypotheses:
-            rows = slice(start, start + n * len(h.sizes))
-            scope = {c: x[rows].copy() for c, x in stacked.items()}
-            scope[THETA], scope[ELAPSED] = np.repeat(h.sizes, n), np.tile(elapsed, len(h.sizes))
-            for column, formula in h.formulas.items():
-                stacked[column][rows] = formula(scope)
-            start = rows.stop
+    def _computed(
+        self, values: Mapping[str, Array], elapsed: Array
+    ) -> Iterator[tuple[int, Mapping[str, Array]]]:
+        """The log as it is, then each hypothesis: its number of sizes, and the chain's columns in the shape
+        (sizes, rows), or (1, rows) where they are the same for all."""
+        base = {c: x[None, :] for c, x in values.items()}
         for stage in self.chain:
-            stacked |= stage.compute(stacked)
-        return stacked
+            base |= stage.compute(base)
+        yield 1, base
+        for h, plan in zip(self.hypotheses, self._plans, strict=True):
+            size = {THETA: np.array(h.sizes)[:, None], ELAPSED: elapsed[None, :]}
+            found = {**base, **{column: formula({**base, **size}) for column, formula in h.formulas.items()}}
+            for stage, wanted in zip(self.chain, plan, strict=True):
+                if wanted:
+                    found |= stage.compute(found, wanted)
+            yield len(h.sizes), found

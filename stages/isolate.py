@@ -73,7 +73,7 @@ class Isolate:
             before this stage; nothing learned yet.
     """
 
-    version: ClassVar[str] = "2"
+    version: ClassVar[str] = "3"
     learns_from: ClassVar[Literal["calibration"]] = "calibration"
     hypotheses: Mapping[str, Hypothesis]
     drifts: Mapping[str, Drift] = field(default_factory=dict)
@@ -173,8 +173,9 @@ class Isolate:
         F, R, points = len(self.hypotheses), len(self.points.residuals), len(self._grid.left) + 1
         seconds = int(max(self.step_ages_s)) + 2
         memory = Memory(
-            S=np.zeros((len(self.memories_s) + 2, points, R, SUMS)),
-            earlier=np.zeros((seconds if self.rest else 0, points, R, SUMS)),
+            S=np.zeros((len(self.memories_s) + 2, R, SUMS, points)),
+            fresh=np.zeros((R, SUMS, points)),
+            earlier=np.zeros((seconds if self.rest else 0, R, SUMS, points)),
             times=np.full(seconds if self.rest else 0, np.inf),
             place=np.full(len(self.rest), np.nan),
             kept=np.zeros(points),
@@ -206,6 +207,7 @@ class Isolate:
             known=familiarity(novelty, self.known_to),
             e=e,
             sigma=sigma,
+            ln_sigma=np.log(sigma),
             doubt=doubt,
             shapes=self._shapes(needed),
         )

@@ -18,6 +18,9 @@ A spike must not decide. Before it is added, an e is held within ``clip`` spread
 and its own mean over a short memory. Clipping e itself would hide the scatter of a large offset, and make
 wrong hypotheses look better than right ones; and where a fault begins, the mean is of another time.
 
+Between two computed sizes of a hypothesis, e, sigma, its logarithm and the doubt are interpolated linearly.
+The last point of all sums is the log as it is, untamed, for ``unknown``.
+
 The compiler's cache does not see changes in another file: after a change here delete the compiled files of
 :mod:`stages.evidence` (``stages/__pycache__/evidence*.nb*``).
 """
@@ -28,77 +31,100 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from stages.size_grid import Grid
+
 Array = NDArray[np.float64]
-SUMS = 7  # A11, A12, A22, b1, b2, q, D
+A11, B1, Q, D, A12, A22, B2 = range(7)
+SUMS, PLAIN = 7, 4  # sums; those needed where there is one shape
 
 
 @njit(cache=True)
-def tame(e: Array, sigma: Array, S: Array, clip: float, seen: float) -> Array:  # pragma: no cover - compiled
-    """``e`` (points, residuals), held within ``clip`` spreads of what lies between zero and the means that
-    ``S`` remembers. At a log's start, zero counts as one sample beside the ``seen`` independent ones."""
-    tamed = e.copy()
-    for p in range(e.shape[0]):
-        for r in range(e.shape[1]):
-            reach = clip * sigma[p, r]
-            if abs(e[p, r]) > reach:
-                mean = S[p, r, 3] / S[p, r, 0] * seen / (seen + 1.0) if S[p, r, 0] > 0 else 0.0
-                tamed[p, r] = min(max(e[p, r], min(mean, 0.0) - reach), max(mean, 0.0) + reach)
-    return tamed
+def tame(x: float, reach: float, mean: float) -> float:  # pragma: no cover - compiled
+    """``x``, held within ``reach`` of what lies between zero and ``mean``."""
+    return min(max(x, min(mean, 0.0) - reach), max(mean, 0.0) + reach)
 
 
 @njit(cache=True)
 def add_sample(
-    S: Array, e: Array, sigma: Array, ln_sigma: Array, doubt: Array, shapes: Array, weights: Array
+    S: Array,
+    row: tuple[Array, Array, Array, Array],
+    grid: Grid,
+    shapes: Array,
+    weights: Array,
+    short: Array,
+    seen: float,
+    clip: float,
 ) -> None:  # pragma: no cover - compiled
-    """Add one row to the sums ``S`` (points, residuals, SUMS) of one memory, in place."""
-    for p in range(e.shape[0]):
-        for r in range(e.shape[1]):
-            x, s = e[p, r], sigma[p, r]
+    """Add one row to the sums ``S`` (residuals, SUMS, points), in place.
+
+    ``row``: e, sigma, ln sigma and doubt at the computed sizes, each (residuals, computed points); ``shapes``
+    (residuals, 2); ``weights`` (residuals,). ``short``: the sums of the short memory, in which zero counts as
+    one sample beside the ``seen`` independent ones, as at a log's start.
+    """
+    e, sigma, ln_sigma, doubt = row
+    P = len(grid.left)
+    for r in range(S.shape[0]):
+        h1, h2, weight = shapes[r, 0], shapes[r, 1], weights[r]
+        for p in range(P + 1):
+            a, b, share = (grid.left[p], grid.right[p], grid.share[p]) if p < P else (0, 0, 0.0)
+            x = (1.0 - share) * e[r, a] + share * e[r, b]
+            s = (1.0 - share) * sigma[r, a] + share * sigma[r, b]
             if np.isnan(x) or np.isnan(s):
                 continue
-            weight = weights[r]
+            if p < P and abs(x) > clip * s:
+                mean = (
+                    short[r, B1, p] / short[r, A11, p] * seen / (seen + 1.0) if short[r, A11, p] > 0 else 0.0
+                )
+                x = tame(x, clip * s, mean)
+            off = (1.0 - share) * doubt[r, a] + share * doubt[r, b]
             w = weight / (s * s)
-            h1, h2 = shapes[r, 0], shapes[r, 1]
-            S[p, r, 0] += w * h1 * h1
-            S[p, r, 1] += w * h1 * h2
-            S[p, r, 2] += w * h2 * h2
-            S[p, r, 3] += w * h1 * x
-            S[p, r, 4] += w * h2 * x
-            S[p, r, 5] += w * x * x + weight * 2.0 * ln_sigma[p, r]
-            S[p, r, 6] += w * h1 * h1 * doubt[p, r] ** 2
+            S[r, A11, p] += w * h1 * h1
+            S[r, B1, p] += w * h1 * x
+            S[r, Q, p] += w * x * x + 2.0 * weight * ((1.0 - share) * ln_sigma[r, a] + share * ln_sigma[r, b])
+            S[r, D, p] += w * h1 * h1 * off * off
+            if h2 != 0.0:
+                S[r, A12, p] += w * h1 * h2
+                S[r, A22, p] += w * h2 * h2
+                S[r, B2, p] += w * h2 * x
 
 
 @njit(cache=True)
-def log_likelihood(S: Array, sd: Array) -> float:  # pragma: no cover - compiled
-    """L of one point: ``S`` (residuals, SUMS), ``sd`` (residuals, 2), a standard deviation 0 where there is
-    no shape.
+def fade(S: Array, kept: float, fresh: Array, two: NDArray[np.bool_]) -> None:  # pragma: no cover - compiled
+    """``S = kept S + fresh``, in place; ``two``: the residuals (residuals,) that have two shapes."""
+    for r in range(S.shape[0]):
+        for k in range(SUMS if two[r] else PLAIN):
+            for p in range(S.shape[2]):
+                S[r, k, p] = kept * S[r, k, p] + fresh[r, k, p]
+
+
+@njit(cache=True)
+def log_likelihoods(S: Array, sd: Array, unknown_sd: Array) -> Array:  # pragma: no cover - compiled
+    """L of every point, the last with offsets of ``unknown_sd``; ``S`` (residuals, SUMS, points), ``sd`` and
+    ``unknown_sd`` (residuals, 2), a standard deviation 0 where there is no shape.
 
     Written for ``s^2 A``, so that s = 0 needs no inverse.
     """
-    total = 0.0
+    P = S.shape[2]
+    L, determinant = np.zeros(P), np.ones(P)
     for r in range(S.shape[0]):
-        v1, v2 = sd[r, 0] ** 2, sd[r, 1] ** 2
-        if S[r, 0] > 0:
-            v1 += S[r, 6] / S[r, 0]
-        a11, a12, a22 = 1.0 + v1 * S[r, 0], S[r, 1], 1.0 + v2 * S[r, 2]
-        det = a11 * a22 - v1 * v2 * a12 * a12
-        b1, b2 = S[r, 3], S[r, 4]
-        # b' (A + V^-1)^-1 b = b' V (I + A V)^-1 b for V = diag(v1, v2)
-        explained = (v1 * a22 * b1 * b1 - 2.0 * v1 * v2 * a12 * b1 * b2 + v2 * a11 * b2 * b2) / det
-        total -= 0.5 * (S[r, 5] - explained + np.log(det))
-    return total
-
-
-@njit(cache=True)
-def between(
-    x: Array, left: NDArray[np.int64], right: NDArray[np.int64], share: Array
-) -> Array:  # pragma: no cover - compiled
-    """Rows of ``x`` (points, residuals) interpolated: ``(1 - share) x[left] + share x[right]``."""
-    out = np.empty((len(left), x.shape[1]))
-    for p in range(len(left)):
-        for r in range(x.shape[1]):
-            out[p, r] = (1.0 - share[p]) * x[left[p], r] + share[p] * x[right[p], r]
-    return out
+        v2 = sd[r, 1] * sd[r, 1]
+        for p in range(P):
+            v1 = sd[r, 0] * sd[r, 0] if p < P - 1 else unknown_sd[r, 0] * unknown_sd[r, 0]
+            if S[r, A11, p] > 0:
+                v1 += S[r, D, p] / S[r, A11, p]
+            b1, det = S[r, B1, p], 1.0 + v1 * S[r, A11, p]
+            if v2 == 0.0:
+                explained = v1 * b1 * b1 / det
+            else:
+                a11, a12, a22, b2 = det, S[r, A12, p], 1.0 + v2 * S[r, A22, p], S[r, B2, p]
+                det = a11 * a22 - v1 * v2 * a12 * a12
+                # b' (A + V^-1)^-1 b = b' V (I + A V)^-1 b for V = diag(v1, v2)
+                explained = (v1 * a22 * b1 * b1 - 2.0 * v1 * v2 * a12 * b1 * b2 + v2 * a11 * b2 * b2) / det
+            L[p] -= 0.5 * (S[r, Q, p] - explained)
+            determinant[p] *= det
+    for p in range(P):
+        L[p] -= 0.5 * np.log(determinant[p])
+    return L
 
 
 @njit(cache=True)

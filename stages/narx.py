@@ -143,22 +143,18 @@ class Narx:
         return None
 
     def step(self, state: None, block: Log, /) -> tuple[None, Log]:
-        values = columns(block)
-        signals = block.signals
+        values, signals = columns(block), block.signals
         units = {n + k: signals[y].unit or "1" for n, y in self.models.items() for k in ("", SD)}
-        return None, add_columns(block, self.compute(values), units)
-
-    def compute(self, values: Mapping[str, Array]) -> dict[str, NDArray[Any]]:
-        S = {name: self.regressors(name, values) for name in self.models}
-        regime = self.fitted[self.regime]
-        everywhere = largest = regime.novelty(S[self.regime])
-        added: dict[str, NDArray[Any]] = {}
-        for name, model in self.fitted.items():
-            novelty = np.maximum(model.novelty(S[name]), everywhere)
-            sd = self.doubt * model.doubt(S[name]) * np.maximum(1.0, novelty) ** 2
-            added |= {name: model.predict(S[name]), name + SD: sd, name + NOVELTY: novelty}
+        found = {name: model.evaluate(self.regressors(name, values)) for name, model in self.fitted.items()}
+        regime = found[self.regime]
+        added: dict[str, NDArray[Any]] = {REGIME: regime.unit}
+        largest = regime.novelty
+        for name, at in found.items():
+            novelty = np.maximum(at.novelty, regime.novelty)
+            sd = self.doubt * at.doubt * np.maximum(1.0, novelty) ** 2
+            added |= {name: at.prediction, name + SD: sd, name + NOVELTY: novelty}
             largest = np.maximum(largest, novelty)
-        return added | {REGIME: regime.partition.assign(S[self.regime]), IN_DOMAIN: largest <= 1}
+        return None, add_columns(block, added | {IN_DOMAIN: largest <= 1}, units)
 
 
 def _joined(blocks: Sequence[Log]) -> dict[str, Array]:

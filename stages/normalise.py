@@ -6,7 +6,7 @@ The scaled copy of a column ``x`` is the column ``x.norm``; the column itself ke
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Literal, Self
 
@@ -81,8 +81,17 @@ class Normalise:
         scaled = self.compute(columns(block, self.names))
         return None, add_columns(block, scaled, dict.fromkeys(scaled, "1"))
 
-    def compute(self, values: Mapping[str, NDArray[np.float64]]) -> dict[str, NDArray[Any]]:
+    def sources(self) -> dict[str, Set[str]]:
+        return {n + SUFFIX: {n} for n in self.names}
+
+    def compute(
+        self, values: Mapping[str, NDArray[np.float64]], wanted: Set[str] | None = None
+    ) -> dict[str, NDArray[Any]]:
         if not self.learned:
             raise RecipeError("normalise: nothing learned yet; fit it first")
         lo, hi = self.learned["lo"], self.learned["hi"]
-        return {n + SUFFIX: (values[n] - lo[i]) / (hi[i] - lo[i]) for i, n in enumerate(self.names)}
+        return {
+            n + SUFFIX: (values[n] - lo[i]) / (hi[i] - lo[i])
+            for i, n in enumerate(self.names)
+            if wanted is None or n + SUFFIX in wanted
+        }

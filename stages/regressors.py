@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar
@@ -52,8 +52,15 @@ class Regressors:
     def step(self, state: None, block: Log, /) -> tuple[None, Log]:
         return None, add_columns(block, self.compute(columns(block)), self.units)
 
-    def compute(self, values: Mapping[str, NDArray[np.float64]]) -> dict[str, NDArray[Any]]:
+    def sources(self) -> dict[str, Set[str]]:
+        return {name: formula.names for name, formula in self.formulas.items()}
+
+    def compute(
+        self, values: Mapping[str, NDArray[np.float64]], wanted: Set[str] | None = None
+    ) -> dict[str, NDArray[Any]]:
         added: dict[str, NDArray[Any]] = {}
         for name, formula in self.formulas.items():
-            added[name] = np.broadcast_to(formula({**values, **added}), values[TIME].shape)
+            if wanted is None or name in wanted:
+                value = formula({**values, **added})
+                added[name] = np.broadcast_to(value, np.broadcast_shapes(value.shape, values[TIME].shape))
         return added

@@ -11,7 +11,7 @@ is thrown away.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, ClassVar, Literal, Self
@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from ingest.errors import LogError, RecipeError, did_you_mean
 from ingest.log import TIME, Log
+from stages.evaluation import Evaluation
 from stages.formula import Formula
 from stages.gate import GATE
 from stages.gsmms import Combination, Gsmms, fit_gsmms
@@ -84,7 +85,8 @@ class Relation:
 
     def holds(self, values: Values) -> NDArray[np.bool_]:
         """Where the relation says something else than 0, shape (rows,)."""
-        return np.asarray(np.broadcast_to(self.formulas[1](values), values[TIME].shape) > 0)
+        value = self.formulas[1](values)
+        return np.broadcast_to(value, np.broadcast_shapes(value.shape, values[TIME].shape)) > 0
 
     def chosen(self, values: Values) -> tuple[str, ...]:
         """``inputs``, unless one is missing throughout and there are others to take."""
@@ -133,7 +135,7 @@ class Relations:
         LogError: the training logs hold too few complete samples.
     """
 
-    version: ClassVar[str] = "2"
+    version: ClassVar[str] = "3"
     learns_from: ClassVar[Literal["training"]] = "training"
     relations: Mapping[str, Relation]
     regime: str
@@ -195,7 +197,7 @@ class Relations:
                 learned |= {f"{name}/{k}": v for k, v in model.to_arrays().items()}
             if name == self.regime:
                 learned |= self._describe(model, relation, inputs, values, weight)
-            values[name] = self._predicted(relation, model, inputs, values)[0]
+            values[name] = _predicted(relation, model, inputs, values)[0]
         return replace(self, learned=learned)
 
     def _describe(
@@ -240,35 +242,56 @@ class Relations:
         units = {c: r.unit for n, r in self.relations.items() for c in (n, n + SD) if r.unit}
         return None, add_columns(block, self.compute(columns(block)), units)
 
-    def compute(self, values: Values) -> dict[str, NDArray[Any]]:
+    def sources(self) -> dict[str, Set[str]]:
+        """Of a prediction: its inputs and where it holds; of spread and novelty also the regime's inputs."""
+        everywhere = {n + SUFFIX for n in self.inputs(self.regime)}
+        out: dict[str, Set[str]] = {REGIME: everywhere}
+        for name, relation in self.relations.items():
+            own = {n + SUFFIX for n in self.inputs(name)} | relation.formulas[1].names
+            out |= {name: own, name + SD: own | everywhere, name + NOVELTY: own | everywhere}
+        return out | {IN_DOMAIN: {n + NOVELTY for n in self.relations}}
+
+    def compute(self, values: Values, wanted: Set[str] | None = None) -> dict[str, NDArray[Any]]:
         added: dict[str, NDArray[Any]] = {}
-        regime = self.models[self.regime]
-        S = regressors(values, self.inputs(self.regime))
-        everywhere = regime.novelty(S)
+        everywhere = values.get(self.regime + NOVELTY, np.empty(0))
+        if wanted is None or REGIME in wanted:
+            regime = _evaluated(self.models[self.regime], self.inputs(self.regime), values)
+            added[REGIME], everywhere = regime.unit, regime.novelty
         largest = everywhere
         for name, relation in self.relations.items():
+            if wanted is not None and wanted.isdisjoint({name, name + SD, name + NOVELTY, IN_DOMAIN}):
+                continue
             scope = {**values, **added}
-            predicted, doubt, novelty = self._predicted(
-                relation, self.models.get(name), self.inputs(name), scope
-            )
+            predicted, doubt, novelty = _predicted(relation, self.models.get(name), self.inputs(name), scope)
             novelty = np.maximum(novelty, everywhere)
             sd = self.doubt * doubt * np.clip(novelty, 1.0, FAR) ** 2
             added |= {name: predicted, name + SD: sd, name + NOVELTY: novelty}
             largest = np.maximum(largest, novelty)
-        return added | {REGIME: regime.partition.assign(S), IN_DOMAIN: largest <= 1}
+        return added | {IN_DOMAIN: largest <= 1} if wanted is None or IN_DOMAIN in wanted else added
 
-    @staticmethod
-    def _predicted(
-        relation: Relation, model: Gsmms | None, inputs: Sequence[str], values: Values
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Prediction, doubt and novelty; 0 where the relation does not hold, and where it never held in
-        training infinitely novel."""
-        holds = relation.holds(values)
-        if model is None:
-            return np.zeros(holds.shape), np.zeros(holds.shape), np.where(holds, np.inf, 0.0)
-        S = regressors(values, inputs)
-        return (
-            np.where(holds, model.predict(S), 0.0),
-            np.where(holds, model.doubt(S), 0.0),
-            np.where(holds, model.novelty(S), 0.0),
-        )
+
+def _predicted(
+    relation: Relation, model: Gsmms | None, inputs: Sequence[str], values: Values
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Prediction, doubt and novelty; 0 where the relation does not hold, and where it never held in training
+    infinitely novel."""
+    holds = relation.holds(values)
+    if model is None:
+        return np.zeros(holds.shape), np.zeros(holds.shape), np.where(holds, np.inf, 0.0)
+    found = _evaluated(model, inputs, values)
+    return (
+        np.where(holds, found.prediction, 0.0),
+        np.where(holds, found.doubt, 0.0),
+        np.where(holds, found.novelty, 0.0),
+    )
+
+
+def _evaluated(model: Gsmms, inputs: Sequence[str], values: Values) -> Evaluation:
+    """The model at every row, in the shape of its inputs."""
+    given = np.broadcast_arrays(*(values[n + SUFFIX] for n in inputs))
+    found = model.evaluate(np.column_stack([x.ravel() for x in given]))
+    shape = given[0].shape
+    return Evaluation(
+        found.prediction.reshape(shape), found.doubt.reshape(shape), found.novelty.reshape(shape),
+        found.unit.reshape(shape),
+    )  # fmt: skip

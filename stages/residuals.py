@@ -11,9 +11,9 @@ inherits that as ``model_sd``, by finite differences. Columns: ``residual.<r>``,
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, reduce
 from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
@@ -28,6 +28,7 @@ from stages.stage import ANALYSIS, Arrays, Stage, add_columns, columns
 
 RESIDUAL, MODEL_SD, SIGMA, Z = "residual.", "model_sd.", "sigma.", "z."
 UNFAMILIAR = "novelty."
+KINDS = (RESIDUAL, MODEL_SD, SIGMA, Z, UNFAMILIAR)
 MIN_GATE = 1e-3
 
 
@@ -106,7 +107,7 @@ class Residuals:
 
     @property
     def adds(self) -> set[str]:
-        return {k + r for r in self.residuals for k in (RESIDUAL, MODEL_SD, SIGMA, Z, UNFAMILIAR)}
+        return {k + r for r in self.residuals for k in KINDS}
 
     def start(self) -> None:
         return None
@@ -115,7 +116,19 @@ class Residuals:
         units = {k + r: self.units.get(r, "1") for r in self.residuals for k in (RESIDUAL, MODEL_SD, SIGMA)}
         return None, add_columns(block, self.compute(columns(block)), units)
 
-    def compute(self, values: Mapping[str, NDArray[np.float64]]) -> dict[str, NDArray[Any]]:
+    def sources(self) -> dict[str, Set[str]]:
+        """Of a residual: of its formula, the relations' spreads and novelties, its trust and the regime."""
+        out: dict[str, Set[str]] = {}
+        for name, formula in self.formulas.items():
+            relations = {n + kind for n in formula.names for kind in (SD, NOVELTY)}
+            trust = self.trusts[name].names if name in self.trusts else set()
+            made_from = formula.names | relations | trust | {REGIME}
+            out |= dict.fromkeys((k + name for k in KINDS), made_from)
+        return out
+
+    def compute(
+        self, values: Mapping[str, NDArray[np.float64]], wanted: Set[str] | None = None
+    ) -> dict[str, NDArray[Any]]:
         if not self.learned:
             raise RecipeError("residuals: nothing learned yet; fit it first")
         table = self.learned["sigma"]
@@ -123,13 +136,16 @@ class Residuals:
         unit = np.where((regime < 0) | (regime >= table.shape[1] - 1), table.shape[1] - 1, regime)
         added: dict[str, NDArray[Any]] = {}
         for i, (name, formula) in enumerate(self.formulas.items()):
-            e = np.broadcast_to(formula(values), unit.shape)
+            if wanted is not None and wanted.isdisjoint(k + name for k in KINDS):
+                continue
+            e = formula(values)
+            e = np.broadcast_to(e, np.broadcast_shapes(e.shape, unit.shape))
             doubt = _model_sd(formula, values, e)
             sigma = np.hypot(table[i, unit] / np.sqrt(self._weight(name, values)), doubt)
             novelty = [values[n + NOVELTY] for n in formula.names if n + NOVELTY in values]
             added |= {
                 RESIDUAL + name: e, MODEL_SD + name: doubt, SIGMA + name: sigma, Z + name: e / sigma,
-                UNFAMILIAR + name: np.max(novelty, axis=0) if novelty else np.zeros_like(e),
+                UNFAMILIAR + name: reduce(np.maximum, novelty, np.zeros_like(e)),
             }  # fmt: skip
         return added
 
@@ -148,7 +164,7 @@ def _model_sd(
     square = np.zeros_like(e)
     for name in formula.names:
         if name + SD in values:
-            square += (formula({**values, name: values[name] + values[name + SD]}) - e) ** 2
+            square = square + (formula({**values, name: values[name] + values[name + SD]}) - e) ** 2
     return np.sqrt(square)
 
 

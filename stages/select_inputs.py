@@ -9,7 +9,7 @@ standardised, made here; a value without its whole window, after a gap or at the
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, ClassVar, Literal, Self
@@ -171,7 +171,12 @@ class SelectInputs:
         kept = slice(max(len(t) - keep, 0), len(t))
         return LagState(t[kept], z[kept]), add_columns(block, added, dict.fromkeys(added, "1"))
 
-    def compute(self, values: Mapping[str, NDArray[np.float64]]) -> dict[str, NDArray[Any]]:
+    def sources(self) -> dict[str, Set[str]]:
+        return dict.fromkeys(self.adds, self.needs)
+
+    def compute(
+        self, values: Mapping[str, NDArray[np.float64]], wanted: Set[str] | None = None
+    ) -> dict[str, NDArray[Any]]:
         if self._made:
             raise RecipeError(
                 "select_inputs: a fault cannot be undone in lagged regressors; use `detect`, not `isolate`"

@@ -8,7 +8,7 @@ back comes out. The result never depends on how the log was cut.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import replace
 from typing import Any, ClassVar, Literal, Protocol, Self, runtime_checkable
 
@@ -48,8 +48,17 @@ class Stage(Protocol):
 class RowWise(Stage, Protocol):
     """A stage whose new columns at a row depend on that row only."""
 
-    def compute(self, values: Mapping[str, NDArray[np.float64]]) -> dict[str, NDArray[Any]]:
-        """The columns it adds, from the columns it needs."""
+    def sources(self) -> Mapping[str, Set[str]]:
+        """The columns that each column it adds is made from, in the order in which they are made."""
+
+    def compute(
+        self, values: Mapping[str, NDArray[np.float64]], wanted: Set[str] | None = None
+    ) -> dict[str, NDArray[Any]]:
+        """The columns it adds, at least those ``wanted``, from the columns it needs.
+
+        Columns have the shape (rows,), or (1, rows) and (suppositions, rows) where a column differs between
+        suppositions. Of its own columns, those not wanted are taken from ``values``.
+        """
 
 
 @runtime_checkable

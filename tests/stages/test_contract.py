@@ -29,7 +29,7 @@ from stages.residuals import Residuals
 from stages.select_inputs import SelectInputs, Target
 from stages.signatures import Signatures
 from stages.smooth import Smooth
-from stages.stage import ANALYSIS, Learner, Stage, connected, cut, transform
+from stages.stage import ANALYSIS, Learner, RowWise, Stage, columns, connected, cut, transform
 
 CHAIN: dict[str, Stage] = {
     "align": Align(signals=("y", "a"), optional=("b", "absent")),
@@ -226,6 +226,18 @@ def test_cut_covers_every_row_once(faulty: Log) -> None:
     parts = list(cut(log, 0.7))
     assert sum(p.groups["fast"].frame.height for p in parts) == log.groups["fast"].frame.height
     assert pl.concat([p.groups["slow"].frame for p in parts]).equals(log.groups["slow"].frame)
+
+
+@pytest.mark.parametrize("name", [n for n, s in CHAIN.items() if isinstance(s, RowWise)])
+def test_what_is_wanted_alone_is_the_same(name: str, fitted: dict[str, Stage], faulty: Log) -> None:
+    stage = fitted[name]
+    assert isinstance(stage, RowWise)
+    assert set(stage.sources()) == stage.adds
+    values = columns(transform([fitted[n] for n in CHAIN], faulty))
+    whole = stage.compute(values)
+    for column in stage.adds:
+        alone = stage.compute(values, {column})
+        np.testing.assert_array_equal(alone[column], whole[column])
 
 
 @pytest.mark.parametrize("name", STAGES)

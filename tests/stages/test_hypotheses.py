@@ -47,11 +47,33 @@ def test_undoing_the_right_size_brings_the_residual_back(chain: list[RowWise]) -
     points = Points([gain], chain, ["r"])
     assert points.needs == {"a", "y", "time"} - {"time"}
     e, sigma, doubt, novelty = points.evaluate(values, np.zeros(800))
-    assert e.shape == sigma.shape == doubt.shape == (800, 4, 1)
-    error = np.abs(e[:, :, 0]).mean(axis=0)
+    assert e.shape == sigma.shape == doubt.shape == (800, 1, 4)
+    error = np.abs(e[:, 0]).mean(axis=0)
     assert error.argmin() == 2
     assert error[2] < 0.01 < error[1]
     assert (novelty <= 1).mean() > 0.98
+
+
+def test_what_is_not_computed_anew_would_be_the_same(chain: list[RowWise]) -> None:
+    """Every point against the whole chain on the corrected columns."""
+    values = system(50)
+    hypotheses = [
+        Hypothesis(undo={"y": "y / (1 + theta)"}, sizes=(0.1, 0.2)),
+        Hypothesis(undo={"a": "a - theta", "y": "y + a * theta"}, sizes=(-0.1, 0.1)),
+        Hypothesis(undo={"half": "half - theta"}, sizes=(0.3,)),
+    ]
+    e, sigma, doubt, _ = Points(hypotheses, chain, ["r"]).evaluate(values, np.zeros(50))
+    point = 1
+    for h in hypotheses:
+        for theta in h.sizes:
+            scope = {**values, "half": values["y"] / 2, "theta": np.full(50, theta)}
+            corrected = {**scope, **{c: f(scope) for c, f in h.formulas.items()}}
+            for stage in chain:
+                if not (isinstance(stage, Regressors) and "half" in h.undo):
+                    corrected |= stage.compute(corrected)
+            for kind, found in (("residual.", e), ("sigma.", sigma), ("model_sd.", doubt)):
+                np.testing.assert_allclose(found[:, 0, point], corrected[kind + "r"], atol=1e-12)
+            point += 1
 
 
 def test_chunks_do_not_matter_and_nothing_is_changed(
@@ -70,7 +92,7 @@ def test_chunks_do_not_matter_and_nothing_is_changed(
 
 def test_a_drift_fades_with_time(chain: list[RowWise]) -> None:
     drift = Drift(undo={"y": "y / (1 + theta * exp(-elapsed / 30))"}, sd=0.03).hypothesis()
-    e = Points([drift], chain, ["r"]).evaluate(system(), system()["time"])[0][:, :, 0]
+    e = Points([drift], chain, ["r"]).evaluate(system(), system()["time"])[0][:, 0]
     apart = np.abs(e[:, 1] - e[:, 0])
     assert apart[:20].mean() > 0.05
     assert apart[-20:].mean() < 1e-4

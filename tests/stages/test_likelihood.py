@@ -8,11 +8,33 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import multivariate_normal
 
-from stages.likelihood import SUMS, add_sample, between, log_likelihood, peak, tame
+from stages.hypotheses import Hypothesis
+from stages.likelihood import A11, B1, SUMS, D, Q, add_sample, fade, log_likelihoods, peak, tame
+from stages.size_grid import Grid, refined_grid
+
+AS_IT_IS = refined_grid([Hypothesis(undo={"y": "theta"}, sizes=(1.0,), from_zero=False)], 0, 1)
 
 
-def add(S: np.ndarray, e: np.ndarray, sigma: np.ndarray, doubt: np.ndarray, shapes: np.ndarray) -> None:
-    add_sample(S, e, sigma, np.log(sigma), doubt, shapes, np.ones(e.shape[1]))
+def add(
+    S: np.ndarray,
+    e: list[list[float]],
+    *,
+    sigma: float = 1.0,
+    doubt: float = 0.0,
+    shape: float = 0.0,
+    grid: Grid = AS_IT_IS,
+    clip: float = np.inf,
+    short: np.ndarray | None = None,
+    seen: float = 0.0,
+) -> None:
+    """Add a row of residuals (residuals, computed points), all of one spread."""
+    x = np.array(e)
+    like = np.full(x.shape, sigma)
+    row = (x, like, np.log(like), np.full(x.shape, doubt))
+    shapes = np.tile([1.0, shape], (len(x), 1))
+    add_sample(
+        S, row, grid, shapes, np.ones(len(x)), np.zeros_like(S) if short is None else short, seen, clip
+    )
 
 
 @pytest.mark.parametrize("sd", [(0.0, 0.0), (0.3, 0.0), (0.3, 0.7)])
@@ -22,61 +44,70 @@ def test_log_likelihood_is_that_of_the_marginal_normal(sd: tuple[float, float]) 
     n = 12
     sigma, shape = rng.uniform(0.1, 0.4, n), rng.uniform(0.2, 2.0, n)
     e = rng.normal(0, 0.2, n)
-    S = np.zeros((1, 1, SUMS))
+    S = np.zeros((1, SUMS, 3))
     for k in range(n):
-        shapes = np.array([[1.0, shape[k]]])
-        add_sample(
-            S,
-            e[k].reshape(1, 1),
-            sigma[k].reshape(1, 1),
-            np.log(sigma[k]).reshape(1, 1),
-            np.zeros((1, 1)),
-            shapes,
-            np.ones(1),
-        )
+        add(S, [[e[k], 9.0]], sigma=sigma[k], shape=shape[k])
     H = np.column_stack([np.ones(n), shape])
     covariance = np.diag(sigma**2) + H @ np.diag(np.square(sd)) @ H.T
     expected = multivariate_normal(np.zeros(n), covariance).logpdf(e) + n / 2 * np.log(2 * np.pi)
-    assert log_likelihood(S[0], np.array([sd])) == pytest.approx(expected)
+    L = log_likelihoods(S, np.array([sd]), np.array([sd]))
+    assert L[[0, 2]] == pytest.approx(expected)  # the log as it is, and `unknown` with the same offsets
+    assert L[1] < expected
+
+
+def test_two_residuals_are_independent() -> None:
+    S = np.zeros((2, SUMS, 3))
+    add(S, [[0.3, 0.0], [-0.8, 0.0]], sigma=0.5)
+    sd = np.array([[0.2, 0.0], [0.1, 0.0]])
+    apart = sum(log_likelihoods(S[r : r + 1], sd[r : r + 1], sd[r : r + 1])[0] for r in (0, 1))
+    assert log_likelihoods(S, sd, sd)[0] == pytest.approx(apart)
 
 
 def test_doubt_is_an_offset_of_its_own() -> None:
-    S = np.zeros((1, 1, SUMS))
+    S = np.zeros((1, SUMS, 3))
     for e in (0.5, 0.6, 0.4):
-        add_sample(
-            S,
-            np.array([[e]]),
-            np.array([[0.1]]),
-            np.log([[0.1]]),
-            np.array([[0.3]]),
-            np.array([[1.0, 0.0]]),
-            np.ones(1),
-        )
+        add(S, [[e, 0.0]], sigma=0.1, doubt=0.3)
     plain = S.copy()
-    plain[..., 6] = 0.0
-    assert log_likelihood(S[0], np.zeros((1, 2))) == pytest.approx(
-        log_likelihood(plain[0], np.array([[0.3, 0.0]]))
-    )
+    plain[:, D] = 0.0
+    none, some = np.zeros((1, 2)), np.array([[0.3, 0.0]])
+    assert log_likelihoods(S, none, none)[0] == pytest.approx(log_likelihoods(plain, some, some)[0])
 
 
 def test_missing_values_say_nothing() -> None:
-    S = np.zeros((1, 2, SUMS))
-    e = np.array([[3.0, np.nan]])
-    add_sample(
-        S, e, np.ones((1, 2)), np.zeros((1, 2)), np.zeros((1, 2)), np.array([[1.0, 0.0]] * 2), np.ones(2)
-    )
-    assert S[0, 0, 5] == 9.0
-    assert (S[0, 1] == 0).all()
+    S = np.zeros((2, SUMS, 3))
+    add(S, [[3.0, 3.0], [np.nan, np.nan]])
+    assert S[0, Q, 0] == 9.0
+    assert (S[1] == 0).all()
 
 
 def test_spikes_are_held_near_the_remembered_mean() -> None:
-    S = np.zeros((1, 2, SUMS))
-    S[0, 0, [0, 3]] = 1e9, 5e9  # a mean of 5; of the other residual nothing is remembered
-    e, sigma = np.array([[50.0, 50.0]]), np.array([[0.5, 0.5]])
-    np.testing.assert_allclose(tame(e, sigma, S, 4.0, 1e9), [[7.0, 2.0]])
-    np.testing.assert_allclose(tame(e, sigma, S, 4.0, 1.0), [[4.5, 2.0]])  # half of it a log's start
-    np.testing.assert_allclose(tame(-e, sigma, S, 4.0, 1e9), [[-2.0, -2.0]])  # on the other side of zero
-    np.testing.assert_allclose(tame(e / 50, sigma, S, 4.0, 1e9), e / 50)  # what is near zero is no spike
+    def held(x: float, seen: float) -> float:
+        return tame(x, 2.0, 5.0 * seen / (seen + 1.0))
+
+    assert held(50.0, 1e9) == pytest.approx(7.0)
+    assert held(50.0, 1.0) == pytest.approx(4.5)  # half of it a log's start
+    assert held(-50.0, 1e9) == -2.0  # on the other side of zero
+    assert held(1.0, 1e9) == 1.0  # what is near zero is no spike
+    short = np.zeros((1, SUMS, 3))
+    short[0, A11], short[0, B1] = 1e9, 5e9
+    S = np.zeros((1, SUMS, 3))
+    add(S, [[50.0, 50.0]], sigma=0.5, clip=4.0, short=short, seen=1e9)
+    np.testing.assert_allclose(S[0, B1], np.array([7.0, 7.0, 50.0]) / 0.25)  # `unknown` sees it as it is
+
+
+def test_sums_fade() -> None:
+    S, fresh = np.ones((1, SUMS, 3)), np.full((1, SUMS, 3), 2.0)
+    fade(S, 0.5, fresh, np.array([True]))
+    assert (S == 2.5).all()
+
+
+def test_between_two_sizes_all_is_linear() -> None:
+    grid = refined_grid([Hypothesis(undo={"y": "y - theta"}, sizes=(1.0,))], 0, 4)
+    S = np.zeros((1, SUMS, len(grid.left) + 1))
+    add(S, [[0.0, 4.0]], grid=grid)
+    place = dict(zip(grid.sizes[0], grid.points[0], strict=True))
+    for size in (0.0, 0.25, 0.5, 1.0):
+        assert S[0, B1, place[size]] == pytest.approx(4 * size)
 
 
 @given(st.floats(-0.9, 0.9), st.floats(0.05, 2.0))
@@ -90,9 +121,3 @@ def test_the_peak_of_a_parabola_is_exact(place: float, sd: float) -> None:
 def test_a_peak_at_the_end_has_no_width() -> None:
     x = np.array([0.0, 1.0, 2.0])
     assert peak(x, np.array([1.0, 0.5, 0.0])) == (0.0, 1.0, np.inf)
-
-
-def test_between_is_linear() -> None:
-    x = np.array([[0.0, 10.0], [4.0, 30.0]])
-    found = between(x, np.array([0, 0]), np.array([1, 1]), np.array([0.0, 0.25]))
-    np.testing.assert_allclose(found, [[0.0, 10.0], [1.0, 15.0]])
