@@ -13,8 +13,8 @@ from pathlib import Path
 from ingest.errors import DynoscopeError
 
 COMMANDS = (
-    "demo", "simulate", "ingest", "inspect", "identify", "select", "fit", "run", "view", "recipe", "cache",
-    "explain", "detectors", "report", "export",
+    "demo", "simulate", "ingest", "inspect", "identify", "select", "fit", "run", "replay", "view", "recipe",
+    "cache", "explain", "detectors", "report", "export",
     "retrain",
 )  # fmt: skip
 DONE, FAILED, WRONG = 0, 1, 2

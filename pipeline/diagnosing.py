@@ -46,14 +46,17 @@ def diagnose(
     Raises:
         LogError: the log lacks a signal that the recipe needs.
     """
-    block = transform(detector.stages, log, block_s)
-    frame = block.groups[ANALYSIS].frame
-    samples = samples_table(frame)
-    verdict = judge(log, samples, detector, quality or {})
+    return concluded(log, detector, transform(detector.stages, log, block_s), quality or {})
+
+
+def concluded(log: Log, detector: Detector, block: Log, quality: Mapping[str, Any]) -> Diagnosis:
+    """The diagnosis of ``log`` from what the detector's stages made of the whole of it."""
+    samples = samples_table(block.groups[ANALYSIS].frame)
+    verdict = judge(log, samples, detector, quality)
     signals = block.groups.get(SIGNALS) or corrected(log, samples, verdict, detector)
     return Diagnosis(
         log=log, samples=samples, verdict=verdict, units=residual_units(block),
-        operating_map=_operating_map(detector, block), signals=signals, about=about(detector),
+        operating_map=operating_map(detector, block), signals=signals, about=about(detector),
     )  # fmt: skip
 
 
@@ -98,7 +101,8 @@ def _label(block: Log, name: str) -> str:
     return f"{name} [{unit}]" if unit else name
 
 
-def _operating_map(detector: Detector, block: Log) -> OperatingMap | None:
+def operating_map(detector: Detector, block: Log) -> OperatingMap | None:
+    """The detector's map of regimes with the points of a block of its stages' output; None without one."""
     relations = next((s for s in detector.stages if isinstance(s, Relations | Narx)), None)
     if relations is None:
         return None

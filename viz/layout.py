@@ -50,8 +50,8 @@ class WholeRange(rrb.Blueprint):
 def log_layout(contents: LogContents, lanes: Sequence[str], span: tuple[float, float]) -> rrb.Blueprint:
     """A log without a run: signals beside what is known of it."""
     signals = [_signal_view(panel) for panel in overview_panels(contents.panels, 6)]
-    shares = _shares([1.0] * len(signals), lanes)
-    left = rrb.Vertical(*signals, *_lane_view("Events", lanes), row_shares=shares)
+    shares = heights([1.0] * len(signals), lanes)
+    left = rrb.Vertical(*signals, *lane_view("Events", lanes), row_shares=shares)
     about = rrb.TextDocumentView(origin="/summary", name="Log")
     tabs = [rrb.Horizontal(left, about, column_shares=[7, 3], name="Overview"), *signal_tabs(contents)]
     return _blueprint(tabs, span)
@@ -101,18 +101,18 @@ def _overview(
     left = rrb.Vertical(
         *signals,
         *shown,
-        *_lane_view(FAULTS, lanes),
-        row_shares=_shares([2.0] * len(signals) + [2.6] * len(shown), lanes),
+        *lane_view(FAULTS, lanes),
+        row_shares=heights([2.0] * len(signals) + [2.6] * len(shown), lanes),
     )
     right: list[rrb.View] = [rrb.TextDocumentView(origin="/summary", name="Summary")]
     if operating_map:
-        right.append(_map_view())
+        right.append(map_view())
     return rrb.Horizontal(
         left, rrb.Vertical(*right, row_shares=[5, 4][: len(right)]), column_shares=[7, 3], name="Overview"
     )
 
 
-def _shares(plots: Sequence[float], lanes: Sequence[str]) -> list[float]:
+def heights(plots: Sequence[float], lanes: Sequence[str]) -> list[float]:
     """Shares of a column's height: as much for the lanes as they need, the rest for the plots."""
     below = [LANES_HEAD + LANE * len(lanes)] if lanes else []
     rest = max(1.0 - sum(below), 0.3)
@@ -132,9 +132,9 @@ def signal_tabs(contents: LogContents) -> list[rrb.Container]:
     count = -(-len(views) // PANELS_PER_PAGE)
     parts = [views[len(views) * i // count : len(views) * (i + 1) // count] for i in range(count)]
     pages = [_grid(part, f"Page {i + 1}") for i, part in enumerate(parts)]
-    lanes = _lane_view("States", contents.lanes)
+    lanes = lane_view("States", contents.lanes)
     if len(pages) == 1 and len(contents.lanes) <= LANES_BELOW:
-        return [rrb.Vertical(pages[0], *lanes, row_shares=_shares([1.0], contents.lanes), name="Signals")]
+        return [rrb.Vertical(pages[0], *lanes, row_shares=heights([1.0], contents.lanes), name="Signals")]
     pages += [rrb.Vertical(view, name="States") for view in lanes]
     return [rrb.Tabs(*pages, name="Signals")] if pages else []
 
@@ -148,7 +148,7 @@ def _residuals(residuals: Sequence[Residual], lanes: Sequence[str], diagnosis: D
     name = "Indicators" if monitors else "Residuals"
     plots = _grid([_residual_view(residual, legend=len(residuals) <= 3) for residual in residuals])
     shown = [lane for lane in lanes if lane in (*FAULT_LANES, REGIME)]
-    return rrb.Vertical(plots, *_lane_view(FAULTS, shown), row_shares=_shares([1.0], shown), name=name)
+    return rrb.Vertical(plots, *lane_view(FAULTS, shown), row_shares=heights([1.0], shown), name=name)
 
 
 def _regimes(plane: OperatingMap) -> rrb.Container:
@@ -159,17 +159,17 @@ def _regimes(plane: OperatingMap) -> rrb.Container:
         background=rrb.Background(color=BACKGROUND),
     )
     tables = rrb.TextDocumentView(origin="/regimes", name="Residuals by regime")
-    return rrb.Horizontal(_map_view(), rrb.Vertical(som, tables, row_shares=[4, 5]), name="Regimes")
+    return rrb.Horizontal(map_view(), rrb.Vertical(som, tables, row_shares=[4, 5]), name="Regimes")
 
 
 def _evidence(lanes: Sequence[str], diagnosis: Diagnosis) -> rrb.Container:
     shown = [lane for lane in lanes if lane in FAULT_LANES]
-    views = [_plot("Probability of each hypothesis [1]", ["/probability/leading"], (-0.03, 1.03))]
+    views = [plot("Probability of each hypothesis [1]", ["/probability/leading"], (-0.03, 1.03))]
     if any(c.startswith("evidence.") for c in diagnosis.samples.columns):
         words = "Evidence for each hypothesis: log-likelihood ratio to the fault-free case [nats]"
-        views.append(_plot(words, ["/evidence/leading"]))
-    shares = _shares([1.0] * len(views), shown)
-    return rrb.Vertical(*views, *_lane_view(FAULTS, shown), row_shares=shares, name="Evidence")
+        views.append(plot(words, ["/evidence/leading"]))
+    shares = heights([1.0] * len(views), shown)
+    return rrb.Vertical(*views, *lane_view(FAULTS, shown), row_shares=shares, name="Evidence")
 
 
 def _distributions(spread: Mapping[str, str], diagnosis: Diagnosis) -> rrb.Container:
@@ -191,22 +191,22 @@ def _model() -> rrb.Container:
 def _compensation(monitored: Monitored, lanes: Sequence[str]) -> rrb.Container:
     shown = [lane for lane in lanes if lane in FAULT_LANES]
     plots = [
-        _plot(title, [path], range_)
+        plot(title, [path], range_)
         for path, drawn in ((READINGS, monitored.readings), (ERRORS, monitored.errors))
         if drawn
         for title, range_ in [drawn]
     ]
     parts: list[Any] = []
     if plots:
-        shares = _shares([1.0] * len(plots), shown)
-        parts.append(rrb.Vertical(*plots, *_lane_view(FAULTS, shown), row_shares=shares))
+        shares = heights([1.0] * len(plots), shown)
+        parts.append(rrb.Vertical(*plots, *lane_view(FAULTS, shown), row_shares=shares))
     if monitored.poles:
         title = "Poles of plant and sensor · distance in decades · dark to bright: time · white: cursor"
         parts.append(_plane_view(POLES, title, *monitored.poles))
     return rrb.Horizontal(*parts, column_shares=[3, 2][: len(parts)], name="Compensation")
 
 
-def _map_view() -> rrb.Spatial2DView:
+def map_view() -> rrb.Spatial2DView:
     trail = rrb.VisibleTimeRanges(
         timeline=TIMELINE,
         start=rrb.TimeRangeBoundary.cursor_relative(seconds=-TRAIL_S),
@@ -231,7 +231,7 @@ def _plane_view(path: str, title: str, x: tuple[float, float], y: tuple[float, f
 
 
 def _signal_view(panel: Panel) -> rrb.TimeSeriesView:
-    return _plot(panel.title, panel.entities, panel.range, legend=len(panel.signals) > 1)
+    return plot(panel.title, panel.entities, panel.range, legend=len(panel.signals) > 1)
 
 
 def _residual_view(residual: Residual, legend: bool = False) -> rrb.TimeSeriesView:
@@ -239,10 +239,10 @@ def _residual_view(residual: Residual, legend: bool = False) -> rrb.TimeSeriesVi
     scale = f"{residual.title} from {low:.2g} to {high:.2g}"
     title = f"{scale} · grey ±3 sigma · red beyond · yellow: detected · white bar: injected"
     paths = [f"{residual.path}/**"]
-    return _plot(title, paths, residual.range, legend=legend)
+    return plot(title, paths, residual.range, legend=legend)
 
 
-def _plot(
+def plot(
     name: str, paths: Iterable[str], range_: tuple[float, float] | None = None, *, legend: bool = True
 ) -> rrb.TimeSeriesView:
     return rrb.TimeSeriesView(
@@ -255,7 +255,7 @@ def _plot(
     )
 
 
-def _lane_view(name: str, paths: Sequence[str]) -> list[rrb.StateTimelineView]:
+def lane_view(name: str, paths: Sequence[str]) -> list[rrb.StateTimelineView]:
     if not paths:
         return []
     axis = rrb.TimeAxis(link="LinkToGlobal")

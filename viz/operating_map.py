@@ -27,8 +27,8 @@ def log_operating_map(rec: rr.RecordingStream, diagnosis: Diagnosis, plane: Oper
     regime = diagnosis.samples["regime"].fill_null(-1).to_numpy()
     frame(rec, MAP, axes, plane.x_label, plane.y_label)
     _log_samples(rec, axes.place(data), regime)
-    _log_regions(rec, axes.place(plane.nodes), plane)
-    _log_cursor(rec, diagnosis.samples["time"].to_numpy(), axes.place(data))
+    log_regions(rec, axes.place(plane.nodes), plane)
+    log_cursor(rec, diagnosis.samples["time"].to_numpy(), axes.place(data))
     _log_som(rec, plane)
 
 
@@ -40,7 +40,7 @@ def _log_samples(rec: rr.RecordingStream, placed: Array, regime: NDArray[np.int6
     rec.log(f"{MAP}/samples", dots, static=True)
 
 
-def _log_regions(rec: rr.RecordingStream, nodes: Array, plane: OperatingMap) -> None:
+def log_regions(rec: rr.RecordingStream, nodes: Array, plane: OperatingMap) -> None:
     """Region centres, their size the visits, joined as on the self-organising map."""
     colours = np.array([of_index(i) for i in range(len(nodes))], dtype=np.uint8).reshape(-1, 3)
     _log_nodes(rec, f"{MAP}/regions", nodes, plane, colours, most=10.0)
@@ -73,7 +73,7 @@ def node_sizes(visits: Array, least: float, most: float) -> Array:
     return least + (most - least) * np.sqrt(np.nan_to_num(visits) / (top or 1.0))
 
 
-def _log_cursor(rec: rr.RecordingStream, time: Array, placed: Array) -> None:
+def log_cursor(rec: rr.RecordingStream, time: Array, placed: Array) -> None:
     """One point and the line to it per ``1 / CURSOR_HZ``; how long the trail is, the layout decides."""
     beat = np.floor(time * CURSOR_HZ)
     rows = np.flatnonzero(np.append(True, np.diff(beat) != 0) & np.isfinite(placed).all(axis=1))

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import re
-import socket
-import subprocess
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -16,7 +14,7 @@ from rerun.experimental import ViewerClient
 
 from ingest.errors import DynoscopeError, LogError
 from viz.send import TIMELINE
-from viz.viewer import free_port, is_recording, start
+from viz.viewer import connected, free_port, is_recording, start
 
 DRIVERS = Path("/usr/share/vulkan/icd.d")
 TIMEOUT_S = 120.0
@@ -65,19 +63,10 @@ def _viewer() -> Iterator[ViewerClient]:
     options = ["--headless", "--hide-welcome-screen", "--port", str(port)]
     with start(options, VK_ICD_FILENAMES=str(driver), RUST_LOG="off") as process:
         try:
-            yield _connected(process, port)
+            connected(process, port, TIMEOUT_S)
+            yield ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy")
         finally:
             process.terminate()
-
-
-def _connected(process: subprocess.Popen[bytes], port: int) -> ViewerClient:
-    deadline = time.monotonic() + TIMEOUT_S
-    while time.monotonic() < deadline and process.poll() is None:
-        with socket.socket() as probe:
-            if probe.connect_ex(("127.0.0.1", port)) == 0:
-                return ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy")
-        time.sleep(0.05)
-    raise DynoscopeError(f"the viewer did not start (status {process.poll()}); is {DRIVERS} complete?")
 
 
 def _open(viewer: ViewerClient, recording: Path) -> None:

@@ -50,6 +50,11 @@ def lines(
         interpolation_mode=mode,
     )
     rec.log(path, style, static=True)
+    scalars(rec, path, time, values)
+
+
+def scalars(rec: rr.RecordingStream, path: str, time: Array, values: Array) -> None:
+    """More values, shape (n,) or (n, k), of an entity that has its style."""
     for start in range(0, time.size, ROWS):
         part = slice(start, start + ROWS)
         rec.send_columns(path, times(time[part]), rr.Scalars.columns(scalars=values[part]))
@@ -61,9 +66,7 @@ def points(
     """``values`` of shape (n,) as dots."""
     style = rr.SeriesPoints(names=name, colors=colour, markers="circle", marker_sizes=size)
     rec.log(path, style, static=True)
-    for start in range(0, time.size, ROWS):
-        part = slice(start, start + ROWS)
-        rec.send_columns(path, times(time[part]), rr.Scalars.columns(scalars=values[part]))
+    scalars(rec, path, time, values)
 
 
 def band(
@@ -99,11 +102,17 @@ def states(
 ) -> None:
     """A lane whose state at each time is ``names``; an empty name ends a state."""
     known = sorted({name for name in names if name})
-    colours = [(*palette.get(name, DIM), 255) for name in known]
-    rec.log(path, rr.StateConfiguration(values=known, labels=known, colors=colours), static=True)
+    palette_of(rec, path, {name: palette.get(name, DIM) for name in known})
     for start in range(0, time.size, ROWS):
         part = slice(start, start + ROWS)
         rec.send_columns(path, times(time[part]), rr.StateChange.columns(state=list(names[part])))
+
+
+def palette_of(rec: rr.RecordingStream, path: str, colours: dict[str, Colour]) -> None:
+    """The states that a lane knows, with their colours."""
+    known = list(colours)
+    rgba = [(*colour, 255) for colour in colours.values()]
+    rec.log(path, rr.StateConfiguration(values=known, labels=known, colors=rgba), static=True)
 
 
 def markdown(rec: rr.RecordingStream, path: str, text: str) -> None:

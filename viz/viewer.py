@@ -9,11 +9,16 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ingest.errors import DynoscopeError, LogError
 from ingest.log import Log
+
+if TYPE_CHECKING:
+    from rerun import RecordingStream
 
 TIMELINE_FILE = "timeline.rrd"
 MAGIC = b"RRF"
@@ -43,8 +48,7 @@ def show(*sources: Path | Log, web: bool = False, save: Path | None = None) -> N
             merge(recordings, save)
         elif web:
             page, data = free_port(9090), free_port(9876)
-            url = f"http://127.0.0.1:{page}/?url=rerun%2Bhttp%3A%2F%2F127.0.0.1%3A{data}%2Fproxy"
-            print(f"open {url} in a browser; stop with Ctrl-C", file=sys.stderr, flush=True)
+            _tell_page(page, data)
             _watch(["--serve-web", "--web-viewer-port", str(page), "--port", str(data)], recordings)
         else:
             _check_display()
@@ -121,6 +125,59 @@ def executable() -> Path:
     return Path(rerun_cli.__file__).parent / ("rerun.exe" if os.name == "nt" else "rerun")
 
 
+@contextmanager
+def live_recording(name: str, *, web: bool = False) -> Iterator[tuple[RecordingStream, Callable[[], None]]]:
+    """A viewer, native or in a browser on this machine, and a recording that it shows as it is made; and what
+    returns when the viewer is closed.
+
+    Raises:
+        DynoscopeError: there is no display, or the viewer does not start.
+    """
+    import rerun as rr
+
+    from viz.timeline import application_id
+
+    data = free_port(9876)
+    options = ["--hide-welcome-screen"]
+    if web:
+        page = free_port(9090)
+        options = ["--serve-web", "--web-viewer-port", str(page)]
+        _tell_page(page, data)
+    else:
+        _check_display()
+    with start([*options, "--port", str(data)]) as viewer:
+        try:
+            connected(viewer, data)
+            rec = rr.RecordingStream(application_id(name), send_properties=False)
+            rec.set_log_time_enabled(False)
+            rec.connect_grpc(f"rerun+http://127.0.0.1:{data}/proxy")
+            rec.send_recording_name(name)
+            yield rec, lambda: _until_closed(viewer)
+            rec.disconnect()
+        finally:
+            viewer.terminate()
+
+
+def connected(viewer: subprocess.Popen[bytes], port: int, within_s: float = 60.0) -> None:
+    """Returns once the viewer listens on ``port``.
+
+    Raises:
+        DynoscopeError: it has ended, or does not listen in time.
+    """
+    deadline = time.monotonic() + within_s
+    while time.monotonic() < deadline and viewer.poll() is None:
+        with socket.socket() as probe:
+            if probe.connect_ex(("127.0.0.1", port)) == 0:
+                return
+        time.sleep(0.05)
+    raise DynoscopeError(f"the viewer did not start (status {viewer.poll()}); {_NO_VIEWER}")
+
+
+def _tell_page(page: int, data: int) -> None:
+    url = f"http://127.0.0.1:{page}/?url=rerun%2Bhttp%3A%2F%2F127.0.0.1%3A{data}%2Fproxy"
+    print(f"open {url} in a browser; stop with Ctrl-C", file=sys.stderr, flush=True)
+
+
 def _check_display() -> None:
     displays = ("DISPLAY", "WAYLAND_DISPLAY")
     if sys.platform.startswith("linux") and not any(os.environ.get(name) for name in displays):
@@ -147,11 +204,15 @@ def start(options: Sequence[str], **environment: str) -> subprocess.Popen[bytes]
 def _watch(options: Sequence[str], recordings: Sequence[Path]) -> None:
     """Run the viewer until it is closed or interrupted."""
     with start([*options, *map(str, recordings)]) as viewer:
-        try:
-            while viewer.poll() is None:  # not wait(): polars has interrupted system calls restarted
-                time.sleep(0.1)
-        except KeyboardInterrupt:
-            viewer.terminate()
-            return
+        _until_closed(viewer)
+
+
+def _until_closed(viewer: subprocess.Popen[bytes]) -> None:
+    try:
+        while viewer.poll() is None:  # not wait(): polars has interrupted system calls restarted
+            time.sleep(0.1)
+    except KeyboardInterrupt:
+        viewer.terminate()
+        return
     if viewer.returncode:
         raise DynoscopeError(f"the Rerun viewer ended with status {viewer.returncode}; {_NO_VIEWER}")

@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 import rerun.blueprint as rrb
 
-from viz.layout import LANE, PANELS_PER_PAGE, _shares, overview_panels, signal_tabs
+from viz.layout import LANE, PANELS_PER_PAGE, heights, overview_panels, signal_tabs
 from viz.signals import LogContents, Panel
 
 
@@ -53,8 +53,8 @@ def test_text_stands_below_the_signals_or_on_a_page_of_its_own() -> None:
 
 
 def test_lanes_get_the_height_they_need() -> None:
-    shares = _shares([2.0, 3.0], ["/a", "/b"])
+    shares = heights([2.0, 3.0], ["/a", "/b"])
     assert sum(shares) == pytest.approx(1.0)
     assert shares[2] > 2 * LANE
     assert shares[1] / shares[0] == pytest.approx(1.5)
-    assert _shares([1.0], []) == [1.0]
+    assert heights([1.0], []) == [1.0]
