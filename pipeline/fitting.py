@@ -17,12 +17,20 @@ import numpy as np
 from ingest.errors import LogError
 from ingest.log import Log
 from pipeline.detector import Detector, new_detector
+from pipeline.guarding import Finding, guard
 from pipeline.recipe import Recipe
 from pipeline.template import bound, common_signals
+from stages.isolate import Isolate
+from stages.poison import LEAST
 from stages.stage import ANALYSIS, Learner, Stage, connected, transform
 from stages.verdict import usable_seconds
 
 FOLDS = 4
+WEAK = (
+    "no calibration logs: thresholds and spreads come from held-out quarters of the training logs "
+    "and know nothing of other drives, days and vehicles; give more fault-free logs with --calibrate"
+)
+LEFT_OUT = "left out, as they do not agree with the others: "
 Progress = Callable[[str], None]
 Passed = tuple[Sequence[Stage], Log]  # a block and the fitted stages that it has passed
 
@@ -33,11 +41,16 @@ def fit(
     calibrate: Sequence[Log] = (),
     progress: Progress = lambda _: None,
     origin: Mapping[str, Any] | None = None,
+    trust: bool = False,
 ) -> Detector:
     """A detector of ``recipe`` from fault-free ``logs``; ``origin`` goes into its record.
 
+    Logs that look as if a fault were in them (:mod:`pipeline.guarding`) are left out and named, unless
+    ``trust``.
+
     Raises:
-        LogError: a log lacks a signal, or there is too little usable data; the message says which.
+        LogError: a log lacks a signal, there is too little usable data, or too many logs look faulty; the
+            message says which.
         RecipeError: the recipe and the logs do not fit.
     """
     if not logs:
@@ -45,30 +58,53 @@ def fit(
     recipe = bound(recipe, common_signals([*logs, *calibrate]))
     prepare, models, decide = sections(recipe.stages)
     progress(f"preparing {len(logs) + len(calibrate)} log(s): {', '.join(recipe.uses[: len(prepare)])}")
-    training = [transform(prepare, log) for log in logs]
+    training, calibration = ([transform(prepare, log) for log in part] for part in (logs, calibrate))
     _check_amount(training, recipe.min_evidence_s)
     progress(f"fitting on {_rows(training)} samples")
-    passed: list[Passed] = [(prepare, block) for block in training]
-    fitted = learn(models, passed)
-    if not decide:
-        return new_detector(recipe, [*prepare, *fitted], logs, calibrate, [], origin)
-    notes = []
-    if calibrate:
-        held_out: list[Passed] = [
-            ([*prepare, *fitted], transform([*prepare, *fitted], log)) for log in calibrate
-        ]
-    else:
-        notes.append(
-            "no calibration logs: thresholds and spreads come from held-out quarters of the training logs "
-            "and know nothing of other drives, days and vehicles; give more fault-free logs with --calibrate"
-        )
-        progress("holding out quarters of the training logs")
-        whole = [transform(fitted, block) for block in training]
-        held_out = _hold_out(prepare, fitted, whole)
-        held_out += [([*prepare, *fitted], block) for block in whole]  # only these fill the long memories
-    progress(f"setting spreads and thresholds on {_rows([block for _, block in held_out])} samples")
-    stages = [*prepare, *fitted, *learn(decide, held_out)]
+    fitted = learn(models, [(prepare, block) for block in training])
+    notes: list[str] = []
+    if decide and not trust:
+        findings = _suspicious([*prepare, *fitted], decide, [*training, *calibration], len(prepare))
+        if named := [f for f in findings if f]:
+            notes.append(LEFT_OUT + "; ".join(map(str, named)))
+            progress(notes[-1])
+            origin = {**(origin or {}), "left_out": [f.to_json() for f in named]}
+            logs, training = _others(logs, training, findings)
+            calibrate, calibration = _others(calibrate, calibration, findings[-len(calibration) :])
+            _check_amount(training, recipe.min_evidence_s)
+            fitted = learn(models, [(prepare, block) for block in training])
+    stages = [*prepare, *fitted]
+    if decide:
+        held_out: list[Passed] = [(stages, transform(fitted, block)) for block in calibration]
+        if not calibration:
+            notes.append(WEAK)
+            progress("holding out quarters of the training logs")
+            whole = [transform(fitted, block) for block in training]
+            held_out = _hold_out(prepare, fitted, whole)
+            held_out += [(stages, block) for block in whole]  # only these fill the long memories
+        progress(f"setting spreads and thresholds on {_rows([block for _, block in held_out])} samples")
+        stages += learn(decide, held_out)
     return new_detector(recipe, stages, logs, calibrate, notes, origin)
+
+
+def _suspicious(
+    known: Sequence[Stage], decide: Sequence[Stage], blocks: Sequence[Log], prepared: int
+) -> list[Finding | None]:
+    """What is suspicious about each of the blocks, which have passed the first ``prepared`` of the stages."""
+    place = next((i for i, stage in enumerate(decide) if isinstance(stage, Isolate)), None)
+    if place is None or len(blocks) < LEAST:
+        return [None] * len(blocks)
+    passed = [transform(known[prepared:], block) for block in blocks]
+    between = learn(decide[:place], [(known, block) for block in passed])
+    return guard(passed, [*known, *between, decide[place]])
+
+
+def _others(
+    logs: Sequence[Log], blocks: Sequence[Log], findings: Sequence[Finding | None]
+) -> tuple[list[Log], list[Log]]:
+    """The logs and their blocks that nothing was found about."""
+    keep = [i for i in range(len(logs)) if findings[i] is None]
+    return [logs[i] for i in keep], [blocks[i] for i in keep]
 
 
 def _check_amount(blocks: Sequence[Log], least_s: float) -> None:

@@ -39,6 +39,8 @@ def challenge(
     champion: Detector,
     calibrate: Sequence[Log] = (),
     progress: Progress = lambda _: None,
+    *,
+    trust: bool = False,
 ) -> Detector:
     """A challenger trained on ``logs`` from scratch.
 
@@ -46,7 +48,7 @@ def challenge(
         LogError, RecipeError: as :func:`pipeline.fitting.fit`.
     """
     origin = {"challenges": champion.key, "how": "from scratch"}
-    return fit(logs, recipe, calibrate, progress, origin=origin)
+    return fit(logs, recipe, calibrate, progress, origin, trust)
 
 
 def compared(

@@ -36,6 +36,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             f"--{name}", nargs="+", action="extend", default=[], metavar="NAME",
             help=f"{name}s of a recipe for any signals, such as narx; names or patterns",
         )  # fmt: skip
+    parser.add_argument(
+        "--trust", action="store_true", help="fit on all logs, even those that do not agree with the others"
+    )
     add_map_arguments(parser)
     parser.add_argument("--json", action="store_true", help="print the detector's record")
 
@@ -80,7 +83,7 @@ def run(args: argparse.Namespace) -> int:
     if args.source:
         detector = calibrate(known, logs["calibration"], args.false_alarms, progress=talk)
     else:
-        detector = fit(logs["training"], recipe, logs["calibration"], progress=talk)
+        detector = fit(logs["training"], recipe, logs["calibration"], progress=talk, trust=args.trust)
     champion = store.add(detector)
     for note in detector.record["notes"]:
         talk(f"note: {note}")

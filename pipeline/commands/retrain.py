@@ -32,6 +32,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--force", action="store_true", help="promote it even if it is worse")
     parser.add_argument("--reason", default="", metavar="TEXT", help="why; goes into the champion's history")
     parser.add_argument("--details", action="store_true", help="print also the rows of single regimes")
+    parser.add_argument(
+        "--trust", action="store_true", help="fit on all logs, even those that do not agree with the others"
+    )
     add_map_arguments(parser)
     parser.add_argument("--json", action="store_true", help="print the comparison as JSON")
 
@@ -65,7 +68,7 @@ def run(args: argparse.Namespace) -> int:
     problems.raise_any()
     logs = read_all(paths, names, problems)
     training, held_out = (logs["logs"], logs["holdout"]) if logs["holdout"] else split(logs["logs"])
-    challenger = challenge(training, recipe, champion, logs["calibrate"], progress=talk)
+    challenger = challenge(training, recipe, champion, logs["calibrate"], talk, trust=args.trust)
     store.keep(challenger)
     for note in challenger.record["notes"]:
         talk(f"note: {note}")

@@ -1,0 +1,71 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from stages.poison import LEAST, Drives, suspicious
+
+R, M, F = 2, 6, 3
+
+
+def drives(
+    rng: np.random.Generator, N: int, poisoned: dict[int, tuple[int, float]], offset: float = 0.002
+) -> Drives:
+    """Drives by the model of the module's text; ``poisoned``: fault and size by drive."""
+    count = rng.integers(0, 60, size=(N, R, M)).astype(float)
+    direction = np.random.default_rng(99).normal(size=(F, R, M)) * 0.01
+    shift = np.repeat(direction[None], N, axis=0) * (1 + 0.1 * rng.normal(size=(N, 1, 1, 1)))
+    mean = 0.01 * rng.normal(size=(1, R, M)) + offset * rng.normal(size=(N, R, 1))
+    mean = (
+        mean
+        + 0.001 * rng.normal(size=(N, R, M))
+        + 0.005 / np.sqrt(np.maximum(count, 1)) * rng.normal(size=(N, R, M))
+    )
+    for k, (f, x) in poisoned.items():
+        mean[k] += x * shift[k, f]
+    return Drives(mean=mean, count=count, shift=shift, noise=np.full(R, 0.005), offset=np.full(R, 0.002))
+
+
+@settings(max_examples=30)
+@given(st.integers(0, 10_000), st.integers(0, 6), st.integers(0, F - 1))
+def test_up_to_30_percent_are_found_and_named(seed: int, count: int, fault: int) -> None:
+    rng = np.random.default_rng(seed)
+    which = {int(k): (fault, 2.0) for k in rng.choice(20, count, replace=False)}
+    found = suspicious(drives(rng, 20, which))
+    assert {s.drive for s in found} == set(which)
+    assert {s.fault for s in found} <= {fault}
+    assert all(s.size == pytest.approx(2.0, rel=0.3) for s in found)
+    assert [s.T for s in found] == sorted((s.T for s in found), reverse=True)
+
+
+def test_clean_sets_are_left_alone() -> None:
+    named = sum(len(suspicious(drives(np.random.default_rng(s), 20, {}))) for s in range(40))
+    assert named <= 4  # of 800
+
+
+def test_a_fault_that_hides_in_the_tolerance_is_not_found() -> None:
+    rng = np.random.default_rng(1)
+    assert not suspicious(drives(rng, 20, {3: (0, 1.0)}, offset=0.05))
+
+
+def test_a_healthy_drive_elsewhere_is_not_suspicious() -> None:
+    """It was in regions that no other has visited."""
+    rng = np.random.default_rng(2)
+    all_drives = drives(rng, 12, {})
+    all_drives.count[:, :, 3:] = 0.0
+    all_drives.count[0, :, :3], all_drives.count[0, :, 3:] = 0.0, 50.0
+    all_drives.mean[0, :, 3:] += 1.0
+    assert not suspicious(all_drives)
+
+
+def test_of_a_few_drives_nothing_can_be_said() -> None:
+    rng = np.random.default_rng(3)
+    assert suspicious(drives(rng, LEAST - 1, {0: (1, 50.0)})) == []
+    assert [s.drive for s in suspicious(drives(rng, LEAST + 1, {0: (1, 5.0)}))] == [0]
+
+
+def test_the_same_logs_give_the_same_answer() -> None:
+    one = suspicious(drives(np.random.default_rng(4), 20, {1: (0, 2.0), 7: (2, 2.0)}))
+    assert one == suspicious(drives(np.random.default_rng(4), 20, {1: (0, 2.0), 7: (2, 2.0)}))
