@@ -118,4 +118,4 @@ def _rows(block: Log, points: Points) -> tuple[Array, NDArray[np.int64], Array]:
     rows = rows[::step]
     wanted = {TIME, GATE, *points.needs} & values.keys()
     e = points.evaluate({c: values[c][rows] for c in wanted}, values[TIME][rows] - values[TIME][0])[0]
-    return e, values[REGIME][rows].astype(np.int64), gate[rows] * dt * step
+    return e.transpose(0, 2, 1), values[REGIME][rows].astype(np.int64), gate[rows] * dt * step
