@@ -68,14 +68,15 @@ def _rows(out: Path) -> Sequence[Row]:
         return pl.read_parquet(out / f"{SUMMARY}.parquet").select(list(SUMMARY_SCHEMA)).to_dicts()
     except (OSError, pl.exceptions.PolarsError) as error:
         if is_run(out):
-            return summary_frame([_row(out)]).to_dicts()
+            return summary_frame([row_of(out)]).to_dicts()
         raise LogError(
             f"{out} is not the folder of a batch: {SUMMARY}.parquet is missing or damaged ({error}); "
             "expected what `dynoscope run LOG... --out OUT` has written"
         ) from None
 
 
-def _row(folder: Path) -> dict[str, Any]:
+def row_of(folder: Path) -> dict[str, Any]:
+    """A run's row of the summary, from its own files."""
     verdict, manifest = (json.loads((folder / n).read_text(encoding="utf-8")) for n in (VERDICT, MANIFEST))
     return verdict_row(folder.name, verdict, manifest) | {"recipe": verdict["recipe"]}
 

@@ -17,6 +17,8 @@ from pipeline.outputs import ADDED, ANNOTATED, MANIFEST, MEASURED, SAMPLES, SHOW
 from stages.results import About, Diagnosis, OperatingMap, Verdict
 from viz.series import at_times
 
+OURS = "dynoscope."  # before a column whose name the log has too
+TOLD = ("residuals", "regime", "verdict")
 # what reading a damaged file raises
 DAMAGE = (OSError, ValueError, KeyError, TypeError, AttributeError, pl.exceptions.PolarsError)
 
@@ -66,6 +68,31 @@ def read_run(folder: Path, *, values: bool = True) -> Diagnosis:
         )  # fmt: skip
     except DAMAGE as error:
         raise LogError(f"{folder}: damaged ({type(error).__name__}: {error}); run its log again") from None
+
+
+def from_annotated(annotated: Log) -> Diagnosis | None:
+    """The diagnosis that an annotated log carries: its samples, and of the verdict what its events say; None
+    where it carries none."""
+    parts = [annotated.groups[name].frame for name in TOLD if name in annotated.groups]
+    rasters = {(*frame[TIME].head(2), frame.height) for frame in parts}
+    if not parts or len(rasters) != 1 or not any("detection" in frame.columns for frame in parts):
+        return None
+    samples = pl.concat([parts[0], *(frame.drop(TIME) for frame in parts[1:])], how="horizontal")
+    samples = samples.rename({c: c.removeprefix(OURS) for c in samples.columns if c.startswith(OURS)})
+    log = _as_read(annotated, annotated.name)
+    events = tuple(e for e in annotated.events if e.source == "dynoscope")
+    strongest = max(events, key=lambda e: e.confidence or 0.0, default=None)
+    alarm = samples.filter(pl.col("detection") > 0)
+    verdict = Verdict(
+        log=log.name, recipe="annotated log", detector=None, fault=strongest.kind if strongest else "none",
+        signal=strongest.channel if strongest else None, onset_s=strongest.t_start if strongest else None,
+        detected_s=float(alarm[TIME][0]) if alarm.height else None, events=events,
+        probability={strongest.kind: strongest.confidence or 0.0} if strongest else {},
+    )  # fmt: skip
+    return Diagnosis(
+        log=log, samples=samples, verdict=verdict, units=_units(annotated),
+        signals=annotated.groups.get("corrected"),
+    )  # fmt: skip
 
 
 def _as_read(annotated: Log, name: str) -> Log:

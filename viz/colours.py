@@ -37,12 +37,18 @@ _FAULTS: dict[str, Colour] = {
     "intake_pressure_gain": YELLOW,
     "boost_leak": VERMILLION,
     "intake_leak": GREEN,
+    "intake_temperature_gain": ORANGE,
+    "egr_stuck_open": BLUE,
+    "egr_stuck_closed": SAND,
+    "sensor_stuck": (105, 45, 255),
+    "sensor_noise": (255, 255, 150),
+    "sensor_offset": (150, 60, 180),
     "tps_time_constant": SKY_BLUE,
     "tps_gain": ORANGE,
     "motor_torque_constant": GREEN,
     "back_emf_constant": PURPLE,
 }
-EVERY = (*CYCLE, WHITE, GREY, DIM, EXCEEDANCE)
+EVERY = (*CYCLE, WHITE, GREY, DIM, EXCEEDANCE, *_FAULTS.values())
 _CIVIDIS: NDArray[np.float64] = np.array(
     [(0, 34, 78), (59, 73, 108), (112, 113, 115), (165, 153, 108), (219, 196, 80), (254, 232, 56)],
     dtype=float,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
@@ -17,6 +18,7 @@ from viz.operating_map import MAP, SOM, TRAIL_S
 from viz.plane import HEIGHT, WIDTH
 from viz.residuals import Residual
 from viz.send import TIMELINE
+from viz.series import Array, limits
 from viz.signals import LogContents, Panel
 
 KEY_SIGNALS = ("n_Eng", "p_Int", "W_HFM", "e_a", "theta_ang", "v_Veh")
@@ -124,6 +126,12 @@ def overview_panels(panels: Sequence[Panel], count: int) -> list[Panel]:
     keyed = [panel for key in KEY_SIGNALS for panel in panels if key in panel.signals]
     measured = [panel for panel in panels if not all(name.startswith(TRUTH) for name in panel.signals)]
     return list(dict.fromkeys([*keyed, *(measured or panels)]))[:count]
+
+
+def signal_range(values: Array) -> tuple[float, float]:
+    """Round limits around the finite values."""
+    known = values[np.isfinite(values)]
+    return limits(float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
 
 
 def signal_tabs(contents: LogContents) -> list[rrb.Container]:

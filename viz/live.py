@@ -17,11 +17,11 @@ from viz import send
 from viz.colours import EXCEEDANCE, GREY, SKY_BLUE, of_fault, of_index
 from viz.evidence import LEADING
 from viz.lanes import ALARM, DIAGNOSED, INJECTED, REGIME, diagnosed, held, regime_name, truth
-from viz.layout import FAULTS, KEY_SIGNALS, WholeRange, heights, lane_view, map_view, plot
+from viz.layout import FAULTS, KEY_SIGNALS, WholeRange, heights, lane_view, map_view, plot, signal_range
 from viz.operating_map import MAP, log_cursor, log_regions
 from viz.plane import Axes, frame
 from viz.residuals import WIDTH, column, names
-from viz.series import Array, at_times, changes, limits
+from viz.series import Array, at_times, changes
 from viz.signals import curves
 from viz.summary import WORDS, headline, summary
 
@@ -115,7 +115,12 @@ class Live:
 
     def _layout(self, mapped: bool) -> rrb.Blueprint:
         views = [
-            plot(self._title(name), [send.entity("signals", name)], self._range(name), legend=False)
+            plot(
+                self._title(name),
+                [send.entity("signals", name)],
+                signal_range(self.log.values(name)),
+                legend=False,
+            )
             for name in self.signals
         ]
         views += [
@@ -148,12 +153,6 @@ class Live:
 
     def _title(self, name: str) -> str:
         return f"{name} [{self.log.signals[name].unit or '?'}]"
-
-    def _range(self, name: str) -> tuple[float, float]:
-        values = self.log.values(name)
-        known = values[np.isfinite(values)]
-        low, high = limits(float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
-        return low, high
 
     def _lanes(self, samples: pl.DataFrame, time: Array) -> None:
         alarm = np.where(samples[DETECTION].to_numpy() > 0, "alarm", "no alarm")

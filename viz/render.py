@@ -81,10 +81,13 @@ def _open(viewer: ViewerClient, recording: Path) -> None:
 
 
 def _tabs(viewer: ViewerClient) -> Iterator[str]:
-    """Bring each tab of the outermost container to the front and give its name."""
+    """Bring each tab of the outermost container to the front and give its name; ``all`` without tabs."""
     blueprint: dict[str, Any] = viewer.get_blueprint().blueprint
     root: str = blueprint["/viewport"]["ViewportBlueprint"]["root_container"]
     tabs = blueprint[f"/container/{root}"]["ContainerBlueprint"]
+    if tabs.get("container_kind") != "Tabs":
+        yield "all"
+        return
     for tab in np.atleast_1d(tabs["contents"]).tolist():  # a single one stands without a list
         tabs["active_tab"] = tab
         viewer.set_blueprint(blueprint, of="recording")

@@ -37,12 +37,12 @@ def write_timeline(diagnosis: Diagnosis, path: Path) -> None:
     """
     verdict = diagnosis.verdict
     identity = [verdict.log, verdict.recipe, verdict.detector, diagnosis.log.facts.get("sha256")]
-    _write(path, diagnosis.log.name, identity, lambda rec: log_diagnosis(rec, diagnosis))
+    write_recording(path, diagnosis.log.name, identity, lambda rec: log_diagnosis(rec, diagnosis))
 
 
 def write_log_timeline(log: Log, path: Path) -> None:
     """The Rerun recording of a log without a run; see :func:`write_timeline`."""
-    _write(path, log.name, [log.name, log.facts.get("sha256")], lambda rec: log_log(rec, log))
+    write_recording(path, log.name, [log.name, log.facts.get("sha256")], lambda rec: log_log(rec, log))
 
 
 def log_diagnosis(rec: rr.RecordingStream, diagnosis: Diagnosis) -> None:
@@ -106,7 +106,15 @@ def application_id(name: str) -> str:
     return f"dynoscope {re.sub(r'[^A-Za-z0-9_ -]+', ' ', name)}".strip()[:180]
 
 
-def _write(path: Path, name: str, identity: list[object], fill: Callable[[rr.RecordingStream], None]) -> None:
+def write_recording(
+    path: Path, name: str, identity: list[object], fill: Callable[[rr.RecordingStream], None]
+) -> None:
+    """A recording called ``name`` that ``fill`` writes; ``path`` appears whole or not at all. Its id is the
+    digest of ``identity``.
+
+    Raises:
+        LogError: the folder of ``path`` does not exist.
+    """
     if not path.parent.is_dir():
         raise LogError(f"cannot write {path}: there is no folder {path.parent}; make it first")
     digest = hashlib.sha256(json.dumps(identity).encode()).hexdigest()[:32]

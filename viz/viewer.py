@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 from ingest.errors import DynoscopeError, LogError
 from ingest.log import Log
+from stages.results import Diagnosis
 
 if TYPE_CHECKING:
     from rerun import RecordingStream
@@ -25,8 +26,9 @@ MAGIC = b"RRF"
 _NO_VIEWER = "open it in a browser with --web, or write it to a file with --save FILE.rrd"
 
 
-def show(*sources: Path | Log, web: bool = False, save: Path | None = None) -> None:
-    """Open recordings, runs (a run's folder or a folder of runs) and logs; returns when the viewer is closed.
+def show(*sources: Path | Log | Diagnosis, web: bool = False, save: Path | None = None) -> None:
+    """Open recordings, runs (a run's folder or a folder of runs), diagnoses and logs; returns when the viewer
+    is closed.
 
     ``web`` serves them to a browser on this machine only; ``save`` writes one recording and opens nothing.
 
@@ -34,7 +36,7 @@ def show(*sources: Path | Log, web: bool = False, save: Path | None = None) -> N
         LogError: a source holds nothing to show, or ``save`` cannot be written.
         DynoscopeError: there is no display, or the viewer failed.
     """
-    from viz.timeline import write_log_timeline
+    from viz.timeline import write_log_timeline, write_timeline
 
     with tempfile.TemporaryDirectory(prefix="dynoscope-") as folder:
         recordings: list[Path] = []
@@ -42,6 +44,9 @@ def show(*sources: Path | Log, web: bool = False, save: Path | None = None) -> N
             if isinstance(source, Log):
                 recordings.append(Path(folder) / f"{number}.rrd")
                 write_log_timeline(source, recordings[-1])
+            elif isinstance(source, Diagnosis):
+                recordings.append(Path(folder) / f"{number}.rrd")
+                write_timeline(source, recordings[-1])
             else:
                 recordings += timelines_in(source)
         if save is not None:
@@ -63,7 +68,7 @@ def is_recording(path: Path) -> bool:
         return file.read(len(MAGIC)) == MAGIC
 
 
-def is_run(path: Path) -> bool:
+def holds_recordings(path: Path) -> bool:
     """Whether ``path`` is a run's folder or a folder of runs that left timelines."""
     return path.is_dir() and any(_timelines(path))
 

@@ -16,6 +16,12 @@ RECIPES = {
         "intake_pressure_gain",
         "boost_leak",
         "intake_leak",
+        "intake_temperature_gain",
+        "egr_stuck_open",
+        "egr_stuck_closed",
+        "sensor_stuck",
+        "sensor_noise",
+        "sensor_offset",
     ),
     "throttle": (
         "none",

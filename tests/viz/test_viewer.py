@@ -17,7 +17,7 @@ import viz
 from ingest.errors import DynoscopeError, LogError
 from ingest.log import Group, Log
 from viz.timeline import write_log_timeline
-from viz.viewer import free_port, is_recording, is_run, timelines_in
+from viz.viewer import free_port, holds_recordings, is_recording, timelines_in
 
 
 def small(name: str) -> Log:
@@ -54,9 +54,9 @@ def test_recordings_are_found_where_runs_leave_them(out: Path) -> None:
     one = out / "a" / "timeline.rrd"
     assert timelines_in(one) == timelines_in(out / "a") == [one]
     assert timelines_in(out) == [one, out / "b" / "timeline.rrd"]
-    assert is_run(out)
-    assert is_run(out / "a")
-    assert not is_run(out / "c")
+    assert holds_recordings(out)
+    assert holds_recordings(out / "a")
+    assert not holds_recordings(out / "c")
     assert is_recording(one)
     assert not is_recording(out)
 

@@ -10,6 +10,7 @@ from ingest import write_log
 from ingest.errors import LogError
 from ingest.log import Group, Log
 from pipeline.commands import view
+from pipeline.viewing import to_show
 from viz.timeline import write_log_timeline
 
 
@@ -44,7 +45,7 @@ def test_runs_recordings_and_logs_become_one_file(
 def test_logs_are_read_and_recordings_left_as_files(log: Log, tmp_path: Path) -> None:
     write_log(log, tmp_path / "drive.parquet")
     write_log_timeline(log, tmp_path / "drive.rrd")
-    found = view.sources([str(tmp_path / "drive.rrd"), str(tmp_path / "drive.parquet")])
+    found = to_show([str(tmp_path / "drive.rrd"), str(tmp_path / "drive.parquet")], None, tmp_path)
     assert found[0] == tmp_path / "drive.rrd"
     assert isinstance(found[1], Log)
     assert found[1].values("p_Int").tolist() == [100.0, 101.0]
@@ -52,4 +53,4 @@ def test_logs_are_read_and_recordings_left_as_files(log: Log, tmp_path: Path) ->
 
 def test_what_is_neither_is_named(tmp_path: Path) -> None:
     with pytest.raises(LogError, match="nowhere"):
-        view.sources([str(tmp_path / "nowhere")])
+        to_show([str(tmp_path / "nowhere")], None, tmp_path)

@@ -1,0 +1,117 @@
+"""What ``dynoscope view`` makes of runs, batches, annotated logs, and several of them."""
+
+from __future__ import annotations
+
+import subprocess
+from pathlib import Path
+
+import polars as pl
+import pytest
+from rerun.chunk import RrdReader
+
+from ingest import read_log
+from ingest.errors import LogError
+from pipeline import run
+from pipeline.batch import Options
+from pipeline.detector import Detector
+from pipeline.runs import read_run
+from pipeline.viewing import to_show
+from stages.results import Diagnosis
+from viz.beside import write_beside, write_comparison
+from viz.viewer import executable
+
+
+def texts(path: Path) -> dict[str, str]:
+    """Every document of a recording."""
+    found = {}
+    for chunk in RrdReader(path).stream():
+        batch = chunk.to_record_batch()
+        if "TextDocument:text" in batch.schema.names:
+            found[str(chunk.entity_path)] = str(batch["TextDocument:text"].to_pylist()[-1][0])
+    return found
+
+
+def entities(path: Path) -> set[str]:
+    return {str(chunk.entity_path) for chunk in RrdReader(path).stream()}
+
+
+def sound(path: Path) -> bool:
+    done = subprocess.run([str(executable()), "rrd", "verify", str(path)], capture_output=True, check=False)
+    return done.returncode == 0
+
+
+@pytest.fixture(scope="module")
+def out(logs: Path, detector: Detector, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("batch")
+    run([logs / "healthy2.parquet", logs / "faulty.parquet"], detector, folder, Options(timeline=False))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def other(logs: Path, second: Detector, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The faulty log, diagnosed by another detector."""
+    folder = tmp_path_factory.mktemp("other")
+    run([logs / "faulty.parquet"], second, folder, Options(timeline=False))
+    return folder / "faulty"
+
+
+def test_a_batch_is_an_overview_and_its_runs(out: Path, tmp_path: Path) -> None:
+    overview, first, last = to_show([str(out)], None, tmp_path)
+    assert isinstance(overview, Path)
+    assert isinstance(first, Diagnosis)
+    assert isinstance(last, Diagnosis)
+    assert [first.log.name, last.log.name] == ["faulty", "healthy2"]
+    assert sound(overview)
+    assert {"/faulty", "/healthy2"} <= entities(overview)
+    words = texts(overview)["/summary"]
+    assert "2 logs · 1 with a fault · 1 fault-free" in words
+    assert "| faulty | Air mass flow sensor reads wrong |" in words
+
+
+def test_a_run_without_a_recording_is_made_one(out: Path, tmp_path: Path) -> None:
+    (found,) = to_show([str(out / "faulty")], None, tmp_path)
+    assert isinstance(found, Diagnosis)
+    assert found.operating_map is not None
+    assert found.about is not None
+
+
+def test_an_annotated_log_is_shown_with_what_was_found(out: Path, tmp_path: Path) -> None:
+    (found,) = to_show([str(out / "faulty" / "annotated.mcap")], None, tmp_path)
+    assert isinstance(found, Diagnosis)
+    assert found.verdict.fault == "maf_gain"
+    samples, there = found.samples, pl.read_parquet(out / "faulty" / "samples.parquet")
+    assert set(there.columns) == set(samples.columns)
+    assert samples["z.r_cyl"].equals(there["z.r_cyl"])
+    assert samples["p.maf_gain"].equals(there["p.maf_gain"])
+    assert found.verdict.detected_s == read_run(out / "faulty").verdict.detected_s
+
+
+def test_two_runs_of_one_log_are_compared(out: Path, other: Path, tmp_path: Path) -> None:
+    together, first, second = to_show([str(out / "faulty"), str(other)], None, tmp_path)
+    assert isinstance(together, Path)
+    assert isinstance(first, Diagnosis)
+    assert isinstance(second, Diagnosis)
+    assert sound(together)
+    labels = [one.verdict.detector[:8] for one in (first, second) if one.verdict.detector]
+    assert labels[0] != labels[1]
+    for label in labels:
+        assert f"/z/r_cyl/{label}/value" in entities(together)
+    assert f"| {labels[0]} | {labels[1]} |" in texts(together)["/summary"]
+
+
+def test_two_logs_stand_side_by_side(out: Path, tmp_path: Path) -> None:
+    together, *_ = to_show([str(out / "faulty"), str(out / "healthy2")], None, tmp_path)
+    assert isinstance(together, Path)
+    assert sound(together)
+    drawn = entities(together)
+    assert {"/1/signals/n_Eng", "/2/signals/n_Eng", "/1/z/r_cyl/value", "/2/diagnosed"} <= drawn
+
+
+def test_what_does_not_go_together_is_named(out: Path, logs: Path, tmp_path: Path) -> None:
+    log, made = read_log(logs / "faulty.parquet"), read_run(out / "faulty")
+    with pytest.raises(LogError, match="expected 2 to 4"):
+        write_beside([log], tmp_path / "x.rrd")
+    bare = Diagnosis(log=log, samples=made.samples.select("time", "detection"), verdict=made.verdict)
+    with pytest.raises(LogError, match="no residual in common"):
+        write_comparison(made, bare, tmp_path / "x.rrd", ("a", "b"))
+    assert not list(tmp_path.iterdir())
