@@ -7,7 +7,7 @@ import json
 import zipfile
 import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +21,9 @@ from pipeline.files import write_aside
 from pipeline.recipe import Recipe, build_recipe
 from pipeline.records import FORMAT, key_of, new_record, seal
 from pipeline.template import bound, with_signals
-from stages.stage import Learner, Stage, connected
+from stages.stage import Arrays, Learner, Stage, connected
 
+SUMS = ".sums"  # after the key, in the name of their file
 # what numpy's reader raises on damaged files, besides its own ValueError
 DAMAGE = (OSError, ValueError, EOFError, KeyError, RuntimeError, MemoryError, zipfile.BadZipFile, zlib.error)
 
@@ -37,6 +38,7 @@ class Detector:
     recipe: Recipe
     stages: tuple[Stage, ...]
     record: Mapping[str, Any]
+    sums: Arrays = field(default_factory=dict)  # what training can be continued from (stages.continuing)
 
     @property
     def key(self) -> str:
@@ -57,13 +59,14 @@ def new_detector(
     recipe: Recipe,
     stages: Sequence[Stage],
     training: Sequence[Log] | Sequence[Mapping[str, Any]],
-    calibration: Sequence[Log],
+    calibration: Sequence[Log] | Sequence[Mapping[str, Any]],
     notes: Sequence[str],
     origin: Mapping[str, Any] | None = None,
+    sums: Arrays | None = None,
 ) -> Detector:
     """A detector from fitted stages, with its record and key; ``origin``: how it came about, if not by a
     fit alone."""
-    draft = Detector(recipe=recipe, stages=tuple(connected(stages)), record={})
+    draft = Detector(recipe=recipe, stages=tuple(connected(stages)), record={}, sums=sums or {})
     return replace(draft, record=new_record(draft, training, calibration, notes, origin or {}))
 
 
@@ -87,11 +90,13 @@ def unfitted_detector(recipe: Recipe) -> Detector:
 
 
 def save_detector(detector: Detector, folder: Path) -> None:
-    """Write ``<key>.npz`` and ``<key>.json``; the record comes last, so a detector is whole once it is
-    seen."""
-    buffer = io.BytesIO()
-    np.savez_compressed(buffer, allow_pickle=False, **detector.arrays)
-    write_aside(folder / f"{detector.key}.npz", buffer.getvalue())
+    """Write ``<key>.npz``, ``<key>.sums.npz`` if there are any, and ``<key>.json``; the record comes last,
+    so a detector is whole once it is seen."""
+    for suffix, arrays in (("", detector.arrays), (SUMS, detector.sums)):
+        if arrays or not suffix:
+            buffer = io.BytesIO()
+            np.savez_compressed(buffer, allow_pickle=False, **arrays)
+            write_aside(folder / f"{detector.key}{suffix}.npz", buffer.getvalue())
     write_aside(folder / f"{detector.key}.json", (json.dumps(detector.record, indent=1) + "\n").encode())
 
 
@@ -133,15 +138,22 @@ def load_detector(folder: Path, key: str) -> Detector:
         StoreError: a file is missing, damaged or changed, or a stage has another version now.
     """
     record = load_record(folder / f"{key}.json")
-    path = folder / f"{key}.npz"
+    arrays = _load_arrays(folder / f"{key}.npz", record["arrays_sha256"])
+    detector = restore(record, arrays)
+    if "sums_sha256" not in record:
+        return detector
+    return replace(detector, sums=_load_arrays(folder / f"{key}{SUMS}.npz", record["sums_sha256"]))
+
+
+def _load_arrays(path: Path, sha256: str) -> dict[str, NDArray[Any]]:
     try:
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
     except DAMAGE as error:
         raise StoreError(f"detector arrays {path} cannot be read: {error}; fit the detector again") from None
-    if arrays_sha256(arrays) != record["arrays_sha256"]:
+    if arrays_sha256(arrays) != sha256:
         raise StoreError(f"detector arrays {path} are not those of its record; fit the detector again")
-    return restore(record, arrays)
+    return arrays
 
 
 def restore(record: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> Detector:

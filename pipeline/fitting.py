@@ -20,9 +20,11 @@ from pipeline.detector import Detector, new_detector
 from pipeline.guarding import Finding, guard
 from pipeline.recipe import Recipe
 from pipeline.template import bound, common_signals
+from stages.continuing import gather
 from stages.isolate import Isolate
 from stages.poison import LEAST
-from stages.stage import ANALYSIS, Learner, Stage, connected, transform
+from stages.relations import Relations
+from stages.stage import ANALYSIS, Arrays, Learner, Stage, connected, transform
 from stages.verdict import usable_seconds
 
 FOLDS = 4
@@ -64,13 +66,13 @@ def fit(
     fitted = learn(models, [(prepare, block) for block in training])
     notes: list[str] = []
     if decide and not trust:
-        findings = _suspicious([*prepare, *fitted], decide, [*training, *calibration], len(prepare))
+        findings = suspicious([*prepare, *fitted], decide, [*training, *calibration], len(prepare))
         if named := [f for f in findings if f]:
             notes.append(LEFT_OUT + "; ".join(map(str, named)))
             progress(notes[-1])
             origin = {**(origin or {}), "left_out": [f.to_json() for f in named]}
-            logs, training = _others(logs, training, findings)
-            calibrate, calibration = _others(calibrate, calibration, findings[-len(calibration) :])
+            logs, training = others(logs, training, findings)
+            calibrate, calibration = others(calibrate, calibration, findings[-len(calibration) :])
             _check_amount(training, recipe.min_evidence_s)
             fitted = learn(models, [(prepare, block) for block in training])
     stages = [*prepare, *fitted]
@@ -84,10 +86,24 @@ def fit(
             held_out += [(stages, block) for block in whole]  # only these fill the long memories
         progress(f"setting spreads and thresholds on {_rows([block for _, block in held_out])} samples")
         stages += learn(decide, held_out)
-    return new_detector(recipe, stages, logs, calibrate, notes, origin)
+    return new_detector(recipe, stages, logs, calibrate, notes, origin, gathered(stages, prepare, training))
 
 
-def _suspicious(
+def gathered(
+    stages: Sequence[Stage], passed: Sequence[Stage], blocks: Sequence[Log], earlier: Arrays | None = None
+) -> Arrays:
+    """The sums that relations can be continued from, of blocks that have passed the stages ``passed``; none
+    where the recipe has no relations, or of a kind that cannot be continued."""
+    place = next((i for i, stage in enumerate(stages) if isinstance(stage, Relations)), None)
+    if place is None or not isinstance(relations := stages[place], Relations):
+        return {}
+    if any(model.width == 0 for model in relations.models.values()):
+        return {}
+    between = stages[len(passed) : place]
+    return gather(relations, [transform(between, block) for block in blocks], earlier)
+
+
+def suspicious(
     known: Sequence[Stage], decide: Sequence[Stage], blocks: Sequence[Log], prepared: int
 ) -> list[Finding | None]:
     """What is suspicious about each of the blocks, which have passed the first ``prepared`` of the stages."""
@@ -99,7 +115,7 @@ def _suspicious(
     return guard(passed, [*known, *between, decide[place]])
 
 
-def _others(
+def others(
     logs: Sequence[Log], blocks: Sequence[Log], findings: Sequence[Finding | None]
 ) -> tuple[list[Log], list[Log]]:
     """The logs and their blocks that nothing was found about."""

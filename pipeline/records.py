@@ -35,12 +35,12 @@ DIGITS = 6  # of numbers that are there to be read
 def new_record(
     draft: Detector,
     training: Sequence[Log] | Sequence[Mapping[str, Any]],
-    calibration: Sequence[Log],
+    calibration: Sequence[Log] | Sequence[Mapping[str, Any]],
     notes: Sequence[str],
     origin: Mapping[str, Any],
 ) -> dict[str, Any]:
-    """The record of a detector that has none yet; ``training``: logs, or what another record says of them;
-    ``origin``: how it came about, if not by a fit alone."""
+    """The record of a detector that has none yet; ``training``, ``calibration``: logs, or what another
+    record says of them; ``origin``: how it came about, if not by a fit alone."""
     from pipeline.manifest import packages
 
     recipe = draft.recipe
@@ -50,13 +50,14 @@ def new_record(
         "definition": recipe.to_json(),
         "versions": recipe.versions(),
         "training": [source(log) if isinstance(log, Log) else dict(log) for log in training],
-        "calibration": [source(log) for log in calibration],
+        "calibration": [source(log) if isinstance(log, Log) else dict(log) for log in calibration],
         "seeds": _seeds(draft.stages),
         "arrays_sha256": arrays_sha256(draft.arrays),
         "scores": _scores(draft.stages),
         "thresholds": _thresholds(draft.stages),
     }
-    optional = {"selected": _selected(draft.stages), "held_out_rms": _compared(draft.stages), **origin}
+    optional = {"selected": _selected(draft.stages), "held_out_rms": _compared(draft.stages), **origin,
+                "sums_sha256": draft.sums and arrays_sha256(draft.sums)}  # fmt: skip
     content |= {k: v for k, v in optional.items() if v}
     record = {
         "key": digest(content), **content, "notes": list(notes), "packages": packages(),

@@ -8,11 +8,15 @@ from typing import Any
 from ingest.errors import StoreError
 from ingest.log import Log
 from pipeline.comparing import compare_detectors
-from pipeline.detector import Detector
-from pipeline.fitting import fit
+from pipeline.detector import Detector, new_detector
+from pipeline.fitting import LEFT_OUT, fit, learn, others, sections, suspicious
 from pipeline.recipe import Recipe
+from pipeline.records import source
 from pipeline.store import Store
+from stages.continuing import continued, gather
 from stages.paired import WORSE
+from stages.relations import Relations
+from stages.stage import transform
 
 HELD_OUT = 0.3  # of each log, where no logs are held out
 Progress = Callable[[str], None]
@@ -49,6 +53,74 @@ def challenge(
     """
     origin = {"challenges": champion.key, "how": "from scratch"}
     return fit(logs, recipe, calibrate, progress, origin, trust)
+
+
+def continue_champion(
+    champion: Detector,
+    logs: Sequence[Log],
+    calibrate: Sequence[Log] = (),
+    progress: Progress = lambda _: None,
+    *,
+    trust: bool = False,
+) -> Detector:
+    """A challenger that goes on learning from ``logs`` where the champion stopped (:mod:`stages.continuing`);
+    scales, maps and selected inputs are the champion's, and without ``calibrate`` its spreads and thresholds.
+
+    Raises:
+        StoreError: the champion cannot be continued, or has learned from one of the logs already.
+        LogError: too many logs look faulty, or none is left.
+    """
+    place = next((i for i, s in enumerate(champion.stages) if isinstance(s, Relations)), None)
+    if place is None or not champion.sums:
+        raise StoreError(
+            f"champion {champion.key} keeps no sums that can be continued (recipe "
+            f"{champion.recipe.name!r}); retrain without --warm"
+        )
+    _check_new(champion, logs)
+    before, decide = champion.stages[:place], sections(champion.stages)[2]
+    blocks = [transform(before, log) for log in logs]
+    known = champion.stages[: len(champion.stages) - len(decide)]
+    found = [None] * len(logs) if trust else suspicious(known, decide, blocks, place)
+    notes: list[str] = []
+    origin: dict[str, Any] = {"challenges": champion.key, "how": "continued"}
+    if named := [f for f in found if f]:
+        notes.append(LEFT_OUT + "; ".join(map(str, named)))
+        progress(notes[-1])
+        origin["left_out"] = [f.to_json() for f in named]
+        logs, blocks = others(logs, blocks, found)
+    progress(f"continuing {champion.key} with {len(logs)} log(s)")
+    relations = champion.stages[place]
+    assert isinstance(relations, Relations)
+    sums = gather(relations, blocks, champion.sums)
+    stages = [*before, continued(relations, sums), *known[place + 1 :]]
+    record = champion.record
+    calibration: Sequence[Any] = calibrate
+    if calibrate:
+        progress(f"setting spreads and thresholds on {len(calibrate)} log(s)")
+        stages += learn(decide, [(stages, transform(stages, log)) for log in calibrate])
+    else:
+        notes.append("spreads and thresholds are the champion's; give fault-free logs with --calibrate")
+        calibration, stages = record["calibration"], [*stages, *decide]
+    training = [*record["training"], *map(source, logs)]
+    return new_detector(champion.recipe, stages, training, calibration, notes, origin, sums)
+
+
+def _check_new(champion: Detector, logs: Sequence[Log]) -> None:
+    """A log may not be learned from twice.
+
+    Raises:
+        StoreError: one of them, or part of it, has been.
+    """
+    had = champion.record["training"]
+    for log in map(source, logs):
+        if any(
+            log["sha256"] == old["sha256"] and log["start_s"] < old["end_s"] and old["start_s"] < log["end_s"]
+            for old in had
+        ):
+            raise StoreError(
+                f"log {log['log']!r}: champion {champion.key} has learned from it already; "
+                "with --warm give new logs only"
+            )
 
 
 def compared(

@@ -136,11 +136,11 @@ def fit_gsmms(
     return replace(model, rms=float(np.sqrt(np.average((y - model.predict(S)) ** 2, weights=weight))))
 
 
-def _with_one(S: Array) -> Array:
+def with_one(S: Array) -> Array:
     return np.column_stack([np.ones(len(S)), S])
 
 
-def _blend(S: Array, nodes: Array, width: float) -> Array:
+def blend(S: Array, nodes: Array, width: float) -> Array:
     exponent = -cdist(S, nodes, "sqeuclidean") / (2 * width**2)
     nu = np.exp(exponent - exponent.max(axis=1, keepdims=True))
     return np.asarray(nu / nu.sum(axis=1, keepdims=True))
@@ -156,7 +156,7 @@ def _jackknife(G: Array, h: Array, solve: Callable[[Array, Array], Array]) -> tu
     """Theta (M, k) from all blocks' Gram matrices (first axis), and the root of its jackknife covariance."""
     all_G, all_h = G.sum(axis=0), h.sum(axis=0)
     without = np.stack([solve(all_G - g, all_h - x).ravel() for g, x in zip(G, h, strict=True)])
-    root = np.sqrt((BLOCKS - 1) / BLOCKS) * (without - without.mean(axis=0)).T
+    root = np.sqrt((len(G) - 1) / len(G)) * (without - without.mean(axis=0)).T
     return solve(all_G, all_h), root
 
 
@@ -164,7 +164,7 @@ def _fit_hard(
     partition: Partition, S: Array, y: Array, weight: Array, neighbourhood: float
 ) -> tuple[Array, Array]:
     """(5.48)-(5.50) from the regions' Gram matrices."""
-    X, unit = _with_one(S), partition.assign(S)
+    X, unit = with_one(S), partition.assign(S)
     rows = [
         [np.flatnonzero(unit[b] == m) + b.start for m in range(len(partition.nodes))] for b in _blocks(len(S))
     ]
@@ -181,7 +181,7 @@ def _fit_hard(
 
 def _fit_blended(nodes: Array, S: Array, y: Array, weight: Array) -> tuple[Array, Array, float]:
     """Joint shrunk least squares; ``lambda`` and the width by evidence. Theta, root, width."""
-    M, k = len(nodes), S.shape[1] + 1
+    M = len(nodes)
     centre, scale = np.average(y, weights=weight), np.sqrt(np.cov(y, aweights=weight, ddof=0)) or 1.0
     target, N = (y - centre) / scale, weight.sum()
     yy = float(weight @ target**2)
@@ -190,24 +190,42 @@ def _fit_blended(nodes: Array, S: Array, y: Array, weight: Array) -> tuple[Array
     best: tuple[float, Array, Array, Array, float] | None = None
     for factor in (0.7, 1.0, 1.4, 2.0):
         G, h = _blended_gram(nodes, factor * spacing, S, target, weight)
-        for shrink in (0.01, 0.1, 1.0, 10.0):
-            prior = np.concatenate([np.full(k, 1e-6), np.full(M * k, shrink)])
-            L = np.linalg.cholesky(G.sum(axis=0) + np.diag(prior))
-            z = np.linalg.solve(L, h.sum(axis=0))
-            cost = (
-                N * np.log(max(yy - z @ z, 1e-12 * yy) / N)
-                + 2 * np.log(np.diag(L)).sum()
-                - np.log(prior).sum()
-            )
-            if best is None or cost < best[0]:
-                best = (float(cost), G, h, np.diag(prior), factor * spacing)
+        cost, prior = shrinkage(G.sum(axis=0), h.sum(axis=0), yy, float(N), M)
+        if best is None or cost < best[0]:
+            best = (cost, G, h, prior, factor * spacing)
     assert best is not None
-    _, G, h, precision, width = best
-    total = np.hstack([np.tile(np.eye(k), (M, 1)), np.eye(M * k)])  # theta_m = theta_0 + delta_m
-    theta, root = _jackknife(G, h, lambda G, h: total @ np.linalg.solve(G + precision, h))
-    theta = scale * theta.reshape(M, k)
+    _, G, h, prior, width = best
+    theta, root = solve_blended(G, h, prior, M)
+    theta = scale * theta
     theta[:, 0] += centre
     return theta, scale * root, width
+
+
+def shrinkage(G: Array, h: Array, yy: float, N: float, M: int) -> tuple[float, Array]:
+    """Minus twice the log evidence and the prior's precisions, (parameters,), for the best ``lambda``, from
+    the Gram matrix and moments of all rows; outputs are standardised."""
+    k = len(h) // (M + 1)
+    best: tuple[float, Array] | None = None
+    for shrink in (0.01, 0.1, 1.0, 10.0):
+        prior = np.concatenate([np.full(k, 1e-6), np.full(M * k, shrink)])
+        L = np.linalg.cholesky(G + np.diag(prior))
+        z = np.linalg.solve(L, h)
+        left = N * np.log(max(yy - float(z @ z), 1e-12 * yy) / N)
+        cost = float(left + 2 * np.log(np.diag(L)).sum() - np.log(prior).sum())
+        if best is None or cost < best[0]:
+            best = (cost, prior)
+    assert best is not None
+    return best
+
+
+def solve_blended(G: Array, h: Array, prior: Array, M: int) -> tuple[Array, Array]:
+    """Theta (M, k) and the root of its jackknife covariance, (M k, blocks), from the blocks' Gram
+    matrices."""
+    k = h.shape[1] // (M + 1)
+    total = np.hstack([np.tile(np.eye(k), (M, 1)), np.eye(M * k)])  # theta_m = theta_0 + delta_m
+    precision = np.diag(prior)
+    theta, root = _jackknife(G, h, lambda G, h: total @ np.linalg.solve(G + precision, h))
+    return theta.reshape(M, k), root
 
 
 def _blended_gram(nodes: Array, width: float, S: Array, target: Array, weight: Array) -> tuple[Array, Array]:
@@ -217,34 +235,51 @@ def _blended_gram(nodes: Array, width: float, S: Array, target: Array, weight: A
     for b, block in enumerate(_blocks(len(S))):
         for i in range(block.start, block.stop, CHUNK):
             rows = slice(i, min(i + CHUNK, block.stop))
-            X = _with_one(S[rows])
-            local = _blend(S[rows], nodes, width)[:, :, None] * X[:, None, :]
-            F = np.hstack([X, local.reshape(len(X), -1)])
+            F = features(S[rows], nodes, width)
             G[b] += F.T @ (F * weight[rows, None])
             h[b] += F.T @ (weight[rows] * target[rows])
     return G, h
 
 
+def features(S: Array, nodes: Array, width: float) -> Array:
+    """``(1, s), nu_m(s) (1, s)``, shape (N, (M + 1) (d + 1))."""
+    X = with_one(S)
+    local = blend(S, nodes, width)[:, :, None] * X[:, None, :]
+    return np.hstack([X, local.reshape(len(X), -1)])
+
+
 def _domain(partition: Partition, S: Array, weight: Array) -> tuple[Array, Array, float]:
     """Mean and whitening of each region's samples, and the 99.9 % quantile of the whitened distance."""
-    unit, (M, d) = partition.assign(S), partition.nodes.shape
-    common = np.cov(S.T, aweights=weight, ddof=0).reshape(d, d) / M ** (2 / d)  # a region of average size
-    mean, whiten = partition.nodes.copy(), np.empty((M, d, d))
+    unit, M = partition.assign(S), len(partition.nodes)
+    mass = np.asarray(np.bincount(unit, weight, minlength=M), dtype=float)
+    first = np.array([np.bincount(unit, weight * s, minlength=M) for s in S.T], dtype=float).T
+    pairs = [[np.bincount(unit, weight * a * b, minlength=M) for b in S.T] for a in S.T]
+    mean, whiten = region_spread(partition.nodes, mass, first, np.moveaxis(np.array(pairs), 2, 0))
+    away = np.sqrt((np.einsum("nij,nj->ni", whiten[unit], S - mean[unit]) ** 2).sum(axis=1))
+    order = np.argsort(away)
+    total = np.cumsum(weight[order])
+    return mean, whiten, float(away[order][np.searchsorted(total, 0.999 * total[-1])])
+
+
+def region_spread(nodes: Array, mass: Array, first: Array, second: Array) -> tuple[Array, Array]:
+    """Mean (M, d) and whitening (M, d, d) of each region from its weighted sums of 1 (M,), s (M, d) and s s'
+    (M, d, d)."""
+    M, d = nodes.shape
+    all_mean = first.sum(axis=0) / mass.sum()
+    common = second.sum(axis=0) / mass.sum() - np.outer(all_mean, all_mean)
+    common = common / M ** (2 / d)  # a region of average size
+    mean, whiten = nodes.copy(), np.empty((M, d, d))
     prior = d + 2
-    visited = np.bincount(unit, weight, minlength=M) >= prior
+    visited = mass >= prior
     visited |= not visited.any()
     for m in np.flatnonzero(visited):
-        rows, w = S[unit == m], weight[unit == m]
-        mean[m] = np.average(rows, axis=0, weights=w)
-        own = np.cov(rows.T, aweights=w, ddof=0).reshape(d, d)
-        spread = (w.sum() * own + prior * common) / (w.sum() + prior)
+        mean[m] = first[m] / max(mass[m], 1e-300)
+        own = second[m] / max(mass[m], 1e-300) - np.outer(mean[m], mean[m])
+        spread = (mass[m] * own + prior * common) / (mass[m] + prior)
         whiten[m] = np.linalg.inv(np.linalg.cholesky(spread + 1e-9 * np.eye(d)))
     for m in np.flatnonzero(
         ~visited
     ):  # nobody has been here: what counts is how far it is from where one was
-        nearest = np.flatnonzero(visited)[cdist(partition.nodes[[m]], partition.nodes[visited]).argmin()]
+        nearest = np.flatnonzero(visited)[cdist(nodes[[m]], nodes[visited]).argmin()]
         mean[m], whiten[m] = mean[nearest], whiten[nearest]
-    away = np.sqrt((np.einsum("nij,nj->ni", whiten[unit], S - mean[unit]) ** 2).sum(axis=1))
-    order = np.argsort(away)
-    mass = np.cumsum(weight[order])
-    return mean, whiten, float(away[order][np.searchsorted(mass, 0.999 * mass[-1])])
+    return mean, whiten

@@ -28,6 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         parser.add_argument(
             f"--{role}", nargs="+", action="extend", default=[], metavar="LOG", help=ROLES[role]
         )
+    parser.add_argument("--warm", action="store_true", help="go on from the champion: give new logs only")
     parser.add_argument("--promote", action="store_true", help="make it champion, unless it is worse")
     parser.add_argument("--force", action="store_true", help="promote it even if it is worse")
     parser.add_argument("--reason", default="", metavar="TEXT", help="why; goes into the champion's history")
@@ -43,8 +44,9 @@ def run(args: argparse.Namespace) -> int:
     from ingest.errors import DynoscopeError, StoreError
     from ingest.files import find_logs
     from pipeline.console import Problems, print_json, progress, talk
+    from pipeline.detector import check_recipe
     from pipeline.recipe import load_recipe
-    from pipeline.retraining import because, challenge, compared, promote, split
+    from pipeline.retraining import because, challenge, compared, continue_champion, promote, split
     from pipeline.store import Store
 
     problems = Problems()
@@ -68,7 +70,11 @@ def run(args: argparse.Namespace) -> int:
     problems.raise_any()
     logs = read_all(paths, names, problems)
     training, held_out = (logs["logs"], logs["holdout"]) if logs["holdout"] else split(logs["logs"])
-    challenger = challenge(training, recipe, champion, logs["calibrate"], talk, trust=args.trust)
+    if args.warm:
+        check_recipe(champion, recipe)
+        challenger = continue_champion(champion, training, logs["calibrate"], talk, trust=args.trust)
+    else:
+        challenger = challenge(training, recipe, champion, logs["calibrate"], talk, trust=args.trust)
     store.keep(challenger)
     for note in challenger.record["notes"]:
         talk(f"note: {note}")

@@ -12,7 +12,7 @@ from ingest.simulators.airpath import simulate_airpath
 from ingest.simulators.faults import Fault
 from pipeline import fit
 from pipeline.cli import main
-from pipeline.fitting import _suspicious, learn, sections
+from pipeline.fitting import learn, sections, suspicious
 from pipeline.guarding import Finding
 from pipeline.recipe import Recipe
 from pipeline.template import bound, common_signals
@@ -38,7 +38,7 @@ def findings(logs: list[Log], recipe: Recipe) -> dict[str, Finding]:
     prepare, models, decide = sections(bound(recipe, common_signals(logs)).stages)
     blocks = [transform(prepare, log) for log in logs]
     fitted = learn(models, [(prepare, block) for block in blocks])
-    found = _suspicious([*prepare, *fitted], decide, blocks, len(prepare))
+    found = suspicious([*prepare, *fitted], decide, blocks, len(prepare))
     return {f.log: f for f in found if f}
 
 

@@ -91,7 +91,7 @@ def test_export_and_import(
 ) -> None:
     away, other = tmp_path / "away", tmp_path / "other"
     assert called(capsys, two.folder, "export", second.key, "--to", str(away)) == [second.key]
-    assert sorted(p.suffix for p in away.iterdir()) == [".json", ".npz"]
+    assert sorted("".join(p.suffixes) for p in away.iterdir()) == [".json", ".npz", ".sums.npz"]
     assert called(capsys, other, "import", str(away)) == [second.key]
     assert Store(other).get(NAME).key == second.key  # the first of its recipe there
     assert sorted(called(capsys, other, "import", str(two.folder))) == sorted([detector.key, second.key])
