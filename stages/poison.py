@@ -4,9 +4,10 @@ Of each drive k there are the mean residuals r_k by residual and region, their n
 n_k, and the shifts S_k that each supposed fault of a reference size would give them
 (:func:`pipeline.guarding.drive_means`). With c what models fitted on other drives would have left,
 
-    r_k = c + S_k x + offset + noise,   var = o^2 11' + diag(b^2 + s^2 / n_k),
+    r_k = c + S_k x + U l + noise,   var = U diag(o^2) U' + diag(b^2 + s^2 / n_k),
 
-with an offset o for each residual, lack of fit b between drives, and noise s within one. Models fitted on a
+with what tolerances do to each residual, a level and a slope along the shape that the faults' shifts vary
+most by (U), lack of fit b between drives, and noise s within one. Models fitted on a
 subset only move c, its mean by region; so a fit on any subset costs nothing. A least trimmed fit (Rousseeuw
 1984; concentration steps after Rousseeuw and Van Driessen 1999) finds the 60 % of the drives that agree best;
 that set then grows by all drives whose evidence for a fault,
@@ -83,25 +84,53 @@ def suspicious(drives: Drives, threshold: float = THRESHOLD, seed: int = 0) -> l
 
 @dataclass(frozen=True, eq=False)
 class _Spread:
-    """Standard deviations of offset and lack of fit, (residuals,) each."""
+    """``modes`` (residuals, regions, 2): shapes of what differs from drive to drive, a constant and the one
+    that the faults' shifts vary most by; their standard deviations (residuals, 2); and those of the lack of
+    fit (residuals,)."""
 
-    offset: Array
+    modes: Array
+    sd: Array
     lack: Array
 
 
 def _spread(drives: Drives, members: NDArray[np.int64]) -> _Spread:
-    """Robust, over the members: of each residual's level, and of what is left of its regions."""
+    """Robust, over the members."""
     some = drives.but(members)
-    weight = some.count
-    c = _centre(some.mean, weight)
-    away = np.where(weight > 0, some.mean - c, np.nan)
-    level = np.nansum(np.nan_to_num(away) * weight, axis=2) / np.maximum(weight.sum(axis=2), 1e-12)
-    offset = np.maximum(_sd(level, axis=0), drives.offset)
-    left = away - level[:, :, None]
-    excess = _sd(np.moveaxis(left, 1, 0).reshape(left.shape[1], -1), axis=1) ** 2
-    typical = np.array([_typical(w[w > 0]) for w in np.moveaxis(weight, 1, 0)])
-    lack = np.sqrt(np.maximum(excess - drives.noise**2 / typical, 0.05 * excess))
-    return _Spread(offset, np.maximum(lack, 1e-9))
+    R, modes = some.mean.shape[1], _modes(drives)
+    away = some.mean - _centre(some.mean, some.count)
+    sd, lack = np.zeros((R, 2)), np.zeros(R)
+    for r in range(R):
+        level, var, left = _levels(away[:, r], some.count[:, r] / drives.noise[r] ** 2, modes[r])
+        sd[r] = np.sqrt(np.maximum(_sd(level, axis=0) ** 2 - np.median(var, axis=0), 0.0))
+        excess = float(_sd(left[some.count[:, r] > 0], axis=0)) ** 2
+        noise = drives.noise[r] ** 2 / _typical(some.count[:, r][some.count[:, r] > 0])
+        lack[r] = np.sqrt(max(excess - noise, 0.05 * excess))
+    sd[:, 0] = np.maximum(sd[:, 0], drives.offset)
+    return _Spread(modes, np.maximum(sd, 1e-9), np.maximum(lack, 1e-9))
+
+
+def _modes(drives: Drives) -> Array:
+    weight = drives.count.sum(axis=0)
+    R, M = weight.shape
+    mass = np.maximum(drives.count, 1e-12)[:, None]
+    shift = (drives.shift * mass).sum(axis=0) / mass.sum(axis=0)
+    modes = np.ones((R, M, 2))
+    for r in range(R):
+        w = np.sqrt(weight[r] / max(weight[r].sum(), 1e-12))
+        S = shift[:, r] / np.maximum(np.linalg.norm(shift[:, r] * w, axis=1, keepdims=True), 1e-12)
+        S = (S - (S @ w**2)[:, None]) * w
+        shape = np.linalg.svd(S, full_matrices=False)[2][0]
+        modes[r, :, 1] = np.where(w > 0, shape / np.maximum(w, 1e-12), 0.0)
+    return modes
+
+
+def _levels(away: Array, precision: Array, modes: Array) -> tuple[Array, Array, Array]:
+    """Each drive's coefficients of the modes (drives, 2), their variances, and what is left."""
+    A = np.einsum("ma,km,mb->kab", modes, precision, modes)
+    A = A + 1e-6 * np.trace(A, axis1=1, axis2=2)[:, None, None] * np.eye(2) + 1e-12 * np.eye(2)
+    inverse = np.linalg.inv(A)
+    level = np.einsum("kab,mb,km,km->ka", inverse, modes, precision, away)
+    return level, np.einsum("kaa->ka", inverse), away - level @ modes.T
 
 
 def _typical(count: Array) -> float:
@@ -143,16 +172,18 @@ def _trimmed(drives: Drives, spread: _Spread, rng: np.random.Generator) -> NDArr
     return best
 
 
-def _inverse(count: Array, noise: Array, spread: _Spread, centre_var: Array, offsets: float) -> Array:
-    """V^-1 of a drive, (residuals x regions) squared; regions where it was not count nothing. The offset's
-    variance counts ``offsets`` times."""
+def _inverse(count: Array, noise: Array, spread: _Spread, centre_var: Array, more: float) -> Array:
+    """V^-1 of a drive, (residuals x regions) squared; regions where it was not count nothing. The modes'
+    variance counts ``more`` times."""
     R, M = count.shape
     var = noise[:, None] ** 2 / np.maximum(count, 1e-12) + spread.lack[:, None] ** 2 + centre_var
     precision = np.where(count > 0, 1 / var, 0.0)
     out = np.zeros((R * M, R * M))
-    for r in range(R):  # Sherman and Morrison, residual by residual
-        p, at = precision[r], slice(r * M, (r + 1) * M)
-        out[at, at] = np.diag(p) - np.outer(p, p) / (1 / (offsets * spread.offset[r] ** 2) + p.sum())
+    for r in range(R):  # Woodbury, residual by residual
+        at = slice(r * M, (r + 1) * M)
+        PU = precision[r][:, None] * spread.modes[r]
+        inner = np.diag(1 / (more * spread.sd[r] ** 2)) + spread.modes[r].T @ PU
+        out[at, at] = np.diag(precision[r]) - PU @ np.linalg.solve(inner, PU.T)
     return out
 
 

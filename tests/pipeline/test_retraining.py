@@ -81,7 +81,7 @@ def test_no_part_of_a_log_is_learned_from_twice(detector: Detector, healthy: lis
         continue_champion(detector, healthy[:1])
     of_file = replace(healthy[1], facts={"sha256": "ab" * 32})
     first = continue_champion(detector, [of_file.between(0.0, 200.0)])
-    with pytest.raises(StoreError, match="'healthy2': champion .* has learned from it already"):
+    with pytest.raises(StoreError, match=r"'healthy2': champion .* has learned from it already"):
         continue_champion(first, [of_file.between(100.0, 300.0)])
     rest = continue_champion(first, [of_file.between(200.0, 400.0)])
     assert len(rest.record["training"]) == 3

@@ -46,8 +46,13 @@ def test_clean_sets_are_left_alone() -> None:
 
 
 def test_a_fault_that_hides_in_the_tolerance_is_not_found() -> None:
-    rng = np.random.default_rng(1)
-    assert not suspicious(drives(rng, 20, {3: (0, 1.0)}, offset=0.05))
+    """A sensor's gain that shifts all regions alike, as its tolerance does."""
+    clean = drives(np.random.default_rng(1), 20, {}, offset=0.02)
+    clean.shift[:] = 0.02
+    clean.mean[3] += clean.shift[3, 0]
+    assert not suspicious(clean)
+    clean.mean[3] += 9 * clean.shift[3, 0]
+    assert [s.drive for s in suspicious(clean)] == [3]
 
 
 def test_a_healthy_drive_elsewhere_is_not_suspicious() -> None:
