@@ -15,7 +15,7 @@ from ingest.errors import DynoscopeError
 COMMANDS = (
     "demo", "simulate", "ingest", "inspect", "identify", "select", "fit", "run", "replay", "view", "recipe",
     "cache", "explain", "detectors", "report", "export",
-    "retrain",
+    "retrain", "replay-check",
 )  # fmt: skip
 DONE, FAILED, WRONG = 0, 1, 2
 
@@ -51,7 +51,7 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action=_Version, nargs=0, help="print the version")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for name in COMMANDS:
-        module = import_module(f"pipeline.commands.{name}")
+        module = import_module(f"pipeline.commands.{name.replace('-', '_')}")
         command = commands.add_parser(name, help=module.HELP, description=module.HELP, parents=[common])
         module.add_arguments(command)
         command.set_defaults(run=module.run)
