@@ -34,6 +34,7 @@ Array = NDArray[np.float64]
 SHRINKAGE = (10.0, 1.0, 0.1, 0.01, 1e-3, 1e-4)
 LEVELS = 5  # 2^5 = 32 centres at first, in the metric up to
 MOST_LEVELS = 7
+LEAST_ROWS_EACH, ROWS_EACH = 3, 6  # to a coefficient: of any model, and of one with more centres than before
 GRADIENTS = 400  # rows at which the curvature is looked at
 NARROWEST = 0.02  # eigenvalue of the metric
 (_potrf, _trtrs) = get_lapack_funcs(("potrf", "trtrs"), dtype=np.float64)
@@ -114,9 +115,8 @@ def fit_centres(
             prior = np.ones(len(h))
             prior[k + 1 :] = shrinkage
             S, square, theta = _solve(G, h, yy, prior, N)
-            model = Blended(S, centres, T, factor * spacing, shrinkage, theta, square)
             if best is None or S < best.S:
-                best = model
+                best = Blended(S, centres, T, factor * spacing, shrinkage, theta, square)
             if M == 1:  # there are no local deviations
                 break
     assert best is not None
@@ -131,9 +131,11 @@ def fit_blended(
     factors: Sequence[float] = (1.0,),
     weight: Array | None = None,
     start: Blended | None = None,
+    hopeless: float = np.inf,
 ) -> Blended:
     """The model of least S over M = 1, 2, 4 .. 32 and the metric; ``start``: a model whose metric, with a
-    row for each column of ``X``, is tried too.
+    row for each column of ``X``, is tried too. One that is worse than ``hopeless`` then gets no metric of its
+    own.
 
     >>> x = np.linspace(-2, 2, 400)[:, None]
     >>> model = fit_blended(x, np.abs(x[:, 0]))
@@ -148,7 +150,7 @@ def fit_blended(
     if start is not None and start.M > 1:
         best = min(best, _around(start.M, X, start.T, on), key=lambda m: m.S)
     for _ in range(passes):
-        if best.M == 1:
+        if best.M == 1 or hopeless < best.S:
             break
         before = best.S
         best = min(best, _around(best.M, X, metric(best, X), on), key=lambda m: m.S)
@@ -163,7 +165,7 @@ def _plain(X: Array, on: Fit) -> Blended:
     first, *more = nested_centres(X, LEVELS)
     best, without = on(first, T), 0
     for centres in more:
-        if without == 3 or not _affordable(centres, X):
+        if without == 3 or not _affordable(centres, X, LEAST_ROWS_EACH):
             break
         model = on(centres, T)
         best, without = (model, 0) if model.S < best.S else (best, without + 1)
@@ -177,7 +179,9 @@ def _around(M: int, X: Array, T: Array, on: Fit) -> Blended:
     best = on(nested[level], T)
     for step in (-1, 1):
         at = level + step
-        while 1 <= at < len(nested) and _affordable(nested[at], X):
+        while 1 <= at < len(nested) and _affordable(
+            nested[at], X, ROWS_EACH if step > 0 else LEAST_ROWS_EACH
+        ):
             other = on(nested[at], T)
             if other.S >= best.S:
                 break
@@ -187,8 +191,9 @@ def _around(M: int, X: Array, T: Array, on: Fit) -> Blended:
     return replace(best, S=best.S + X.shape[1] * np.log(len(X)))
 
 
-def _affordable(centres: Array, X: Array) -> bool:
-    return bool((len(centres) + 1) * (X.shape[1] + 1) < len(X) / 3)
+def _affordable(centres: Array, X: Array, rows_each: int) -> bool:
+    """Whether there are so many rows to each coefficient."""
+    return bool((len(centres) + 1) * (X.shape[1] + 1) * rows_each < len(X))
 
 
 def metric(model: Blended, X: Array) -> Array:

@@ -41,6 +41,7 @@ BEST = 3  # genes taken from each table
 PROMISING = 4  # genes of a check that are scored in full
 SCREENED = 4  # level of centres at most at which genes are compared before they are scored in full
 SLACK = 0.02  # per row, by which a gene may then be worse
+HOPELESS = 1.0  # per row, by which a gene may be worse than one with more regressors, in the same metric
 PAIRS = 4  # products of candidates that are tried
 RIVALS = 3  # genes compared with more effort in the end
 ROUNDS = 20
@@ -86,8 +87,9 @@ class Scorer:
             self(gene)
             return
         rows = [self.space.columns(whole).index(c) for c in columns]
-        X = self.regressors(gene)
-        self.offer(gene, fit_blended(X, np.ascontiguousarray(self.y), start=replace(model, T=model.T[rows])))
+        X, y = self.regressors(gene), np.ascontiguousarray(self.y)
+        hopeless = model.S + HOPELESS * len(y)
+        self.offer(gene, fit_blended(X, y, start=replace(model, T=model.T[rows]), hopeless=hopeless))
 
     def offer(self, gene: int, model: Blended) -> None:
         """Take a model of a gene's regressors if it is the best so far."""

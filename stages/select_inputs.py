@@ -83,7 +83,7 @@ class SelectInputs:
         LogError: too few complete samples in the training logs, or an output that is constant.
     """
 
-    version: ClassVar[str] = "1"
+    version: ClassVar[str] = "2"
     learns_from: ClassVar[Literal["training"]] = "training"
     targets: Mapping[str, Target]
     search: Search = field(default_factory=Search)
