@@ -23,6 +23,10 @@ def about(detector: Detector) -> About:
     indicators = {n: w for s in detector.stages if isinstance(s, Monitor) for n, w in _indicators(s)}
     return About(
         models=tuple(m for stage in detector.stages for m in _models(stage, selected)),
+        selections=tuple(
+            s.portrait(name) for s in detector.stages if isinstance(s, SelectInputs) and s.learned
+            for name in s.targets
+        ),
         residuals=formulas | indicators,
         training=_logs(detector, "training"), calibration=_logs(detector, "calibration"),
         notes=tuple(detector.record.get("notes", ())),

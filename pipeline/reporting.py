@@ -12,10 +12,11 @@ import polars as pl
 from ingest.errors import LogError
 from pipeline.files import write_aside
 from pipeline.fleet import fleet_table
-from pipeline.outputs import MANIFEST, VERDICT
+from pipeline.outputs import MANIFEST, SHOWN, VERDICT
 from pipeline.runs import is_run, read_run
 from pipeline.summary import SUMMARY, SUMMARY_SCHEMA, Row, summary_frame, verdict_row
 from pipeline.task import IN_PARTS
+from stages.results import Chosen
 
 REPORT = "report.html"
 DRAWN = 60
@@ -39,10 +40,13 @@ def write_report(out: Path, drawn: int = DRAWN, progress: Progress = lambda word
     chosen = [r for r in sorted(rows, key=_rank) if r["status"] != "failed" and is_run(_folder(out, r))]
     had = {(s.log, s.key): s for s in sections(_text(path))}
     made, notes = [], []
+    selections: tuple[Chosen, ...] = ()
     for row in chosen[:drawn]:
         folder = _folder(out, row)
         try:
             manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
+            about = (manifest.get(SHOWN) or {}).get("about") or {}
+            selections = selections or tuple(map(Chosen.from_json, about.get("selections", ())))
             if (found := had.get((row["log"], manifest["key"]))) is None:
                 found = section(read_run(folder, values=not manifest.get(IN_PARTS)), manifest["key"])
             made.append(found)
@@ -55,7 +59,7 @@ def write_report(out: Path, drawn: int = DRAWN, progress: Progress = lambda word
             f"`dynoscope report {out.name} --drawn N`."
         )
     made.sort(key=lambda s: [r["log"] for r in rows].index(s.log))
-    text = report(_title(rows, out), rows, made, fleet_table(summary_frame(rows)), notes)
+    text = report(_title(rows, out), rows, made, fleet_table(summary_frame(rows)), notes, selections)
     try:
         write_aside(path, text.encode())
     except OSError as error:

@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from itertools import takewhile
-from typing import Any, cast
+from pathlib import Path
+from typing import Any, NamedTuple, cast
 
 from ingest.errors import LogError, RecipeError, did_you_mean
+from ingest.files import group_file
 from ingest.log import Log
+from pipeline.files import aside
 from pipeline.recipe import Recipe
 from pipeline.template import bound, common_signals, with_signals
 from stages.align import Align
-from stages.select_inputs import SelectInputs, Target, select_target
-from stages.selecting import Search, Selection
+from stages.portrait import portrait
+from stages.results import Chosen
+from stages.select_inputs import SelectInputs, Target, stretches
+from stages.selecting import Search, Selection, select
 from stages.stage import Learner, Stage, transform
 
 BOUNDS = ("na_max", "nb_max", "nk_max")
@@ -28,12 +34,21 @@ class Request:
     inputs: Sequence[str] = ()
     bounds: Mapping[str, int] = field(default_factory=dict)
     search: Mapping[str, Any] = field(default_factory=dict)
+    portraits: bool = False
+
+
+class Answer(NamedTuple):
+    """A selection, the seconds it took, and what it was decided on where that was asked for."""
+
+    selection: Selection
+    seconds: float
+    portrait: Chosen | None
 
 
 def select_inputs(
     logs: Sequence[Log], recipe: Recipe, request: Request, progress: Callable[[str], None] = lambda _: None
-) -> dict[str, tuple[Selection, float]]:
-    """The selection and the seconds it took, by output.
+) -> dict[str, Answer]:
+    """The selection by output.
 
     The logs run through the recipe's stages up to the first that learns. Without outputs and inputs in the
     request, those of the recipe's own stage `select_inputs` are searched.
@@ -54,21 +69,50 @@ def select_inputs(
     prepare = _prepare(recipe, names, logs)
     progress(f"preparing {len(logs)} log(s)")
     blocks = [transform(prepare, log) for log in logs]
-    out: dict[str, tuple[Selection, float]] = {}
+    out: dict[str, Answer] = {}
     for target in targets:
         progress(f"{target.output}: {target.space.size} genes of {len(target.space.candidates)} candidates")
         began = time.perf_counter()
-        selection = select_target(blocks, target, search)
-        out[target.output] = (selection, time.perf_counter() - began)
+        parts, variables = stretches(blocks, target), target.variables
+        selection = select(parts, variables, target.output, target.space, search)
+        seconds = time.perf_counter() - began
+        drawn = (
+            portrait(target.output, parts, variables, target.output, selection, search.seed)
+            if request.portraits
+            else None
+        )
+        out[target.output] = Answer(selection, seconds, drawn)
         for note in selection.notes:
             progress(f"note: {target.output}: {note}")
     return out
 
 
-def to_json(selection: Selection, seconds: float) -> dict[str, Any]:
-    """What ``dynoscope select --json`` says of one output."""
+def write_answers(answers: Mapping[str, Answer], out: Path) -> None:
+    """What was selected, and on what, as JSON, as a Rerun recording and as a plot for each output.
+
+    Raises:
+        LogError: the folder cannot be written.
+    """
+    from viz.selection_plot import write_selection_plot
+    from viz.timeline import write_selections
+
+    chosen = [a.portrait for a in answers.values() if a.portrait is not None]
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        with aside(out / "selection.json") as path:
+            path.write_text(json.dumps({n: to_json(*a) for n, a in answers.items()}, indent=1) + "\n")
+        for one in chosen:
+            with aside(out / group_file(one.name).replace(".parquet", ".svg")) as path:
+                write_selection_plot(one, path)
+    except OSError as error:
+        raise LogError(f"cannot write {out}: {error.strerror or error}") from None
+    write_selections(chosen, "input selection", out / "selection.rrd")
+
+
+def to_json(selection: Selection, seconds: float, portrait: Chosen | None = None) -> dict[str, Any]:
+    """What ``dynoscope select --json`` says of one output; with its ``portrait`` where there is one."""
     found = selection.found
-    return {
+    return ({"portrait": asdict(portrait)} if portrait else {}) | {
         **selection.structure.to_json(),
         "criterion": found.score, "evaluated": found.evaluated, "optimal": found.optimal,
         "seconds": round(seconds, 4), "criterion_name": selection.criterion, "genes": selection.space.size,

@@ -125,11 +125,53 @@ class Model:
     selected: bool = False
 
 
+RESIDUAL_EDGES = np.linspace(-4.0, 4.0, 41)
+"""Of the bins of :attr:`Chosen.residual`, in standard deviations."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Chosen:
+    """What an input selection for ``output`` was decided on.
+
+    ``correlation``: of the K ``candidates`` and, last, the output, (K + 1, K + 1); ``genes``: the best genes
+    as numbers of their candidates, best first, with their ``scores`` by ``criterion``; ``history``: the best
+    score after each generation, start or evaluation; ``proven``: no gene is better. ``residual``: density by
+    bin of :data:`RESIDUAL_EDGES` of what a model of the best gene leaves, and ``spectrum``: its power at
+    frequencies from 0 (left out) to a half per sample, white being 1 throughout.
+    """
+
+    name: str
+    output: str
+    criterion: str
+    proven: bool
+    candidates: tuple[str, ...]
+    correlation: tuple[tuple[float, ...], ...]
+    genes: tuple[tuple[int, ...], ...]
+    scores: tuple[float, ...]
+    history: tuple[float, ...]
+    residual: tuple[float, ...]
+    spectrum: tuple[float, ...]
+
+    @property
+    def taken(self) -> tuple[str, ...]:
+        """The selected candidates."""
+        return tuple(self.candidates[i] for i in self.genes[0])
+
+    @classmethod
+    def from_json(cls, values: Mapping[str, Any]) -> Self:
+        """The inverse of ``dataclasses.asdict``, from lists."""
+        lists: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
+        nested = {k: tuple(tuple(row) for row in values[k]) for k in ("correlation", "genes")}
+        return cls(**{**lists, **nested})
+
+
 @dataclass(frozen=True, kw_only=True)
 class About:
-    """What a detector is made of: its models, each residual's formula, the logs it learned from."""
+    """What a detector is made of: its models, what their inputs were selected on, each residual's formula,
+    the logs it learned from."""
 
     models: tuple[Model, ...] = ()
+    selections: tuple[Chosen, ...] = ()
     residuals: Mapping[str, str] = field(default_factory=dict)
     training: tuple[str, ...] = ()
     calibration: tuple[str, ...] = ()
@@ -148,7 +190,8 @@ class About:
         """The inverse of :meth:`to_json`."""
         models = tuple(Model(**{**m, "inputs": tuple(m["inputs"])}) for m in values["models"])
         lists = {k: tuple(values[k]) for k in ("training", "calibration", "notes")}
-        return cls(models=models, residuals=dict(values["residuals"]), **lists)
+        selections = tuple(Chosen.from_json(c) for c in values.get("selections", ()))
+        return cls(models=models, selections=selections, residuals=dict(values["residuals"]), **lists)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

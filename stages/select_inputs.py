@@ -9,8 +9,9 @@ standardised, made here; a value without its whole window, after a gap or at the
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence, Set
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from typing import Any, ClassVar, Literal, Self
 
@@ -23,13 +24,13 @@ from stages.gate import GATE
 from stages.genes import Space
 from stages.lags import GAP_STEPS, segments
 from stages.normalise import SUFFIX
-from stages.search import Found
+from stages.portrait import portrait
+from stages.results import Chosen
 from stages.selecting import Search, Selection, select
 from stages.stage import ANALYSIS, Arrays, Stage, add_columns, columns
 
 Array = NDArray[np.float64]
 MIN_GATE = 0.5  # samples further from steady state are not selected on
-SHOWN = 50  # best genes kept for the record
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,14 +94,16 @@ class SelectInputs:
         learned: dict[str, NDArray[Any]] = {}
         for name, target in self.targets.items():
             try:
-                selection = select_target(blocks, target, self.search)
+                parts = stretches(blocks, target)
+                selection = select(parts, target.variables, target.output, target.space, self.search)
             except LogError as error:
                 raise LogError(f"select_inputs, {name!r}: {error}") from None
-            learned |= {f"{name}/{k}": v for k, v in _arrays(selection).items()}
+            drawn = portrait(name, parts, target.variables, target.output, selection, self.search.seed)
+            learned |= {f"{name}/{k}": v for k, v in _arrays(selection, drawn).items()}
         names = self._lagged
         if names:
-            parts = [columns(b, names) for b in blocks]
-            values = np.column_stack([np.concatenate([p[n] for p in parts]) for n in names])
+            found = [columns(b, names) for b in blocks]
+            values = np.column_stack([np.concatenate([f[n] for f in found]) for n in names])
             learned |= {"centre": np.nanmean(values, axis=0), "scale": np.nanstd(values, axis=0)}
             learned["step"] = np.array(
                 np.median(np.concatenate([np.diff(b.groups[ANALYSIS].time) for b in blocks]))
@@ -120,6 +123,10 @@ class SelectInputs:
             raise RecipeError("select_inputs: nothing learned yet; fit it first")
         lagged = self.targets[name].lagged
         return tuple(regressor_name(n, k) if lagged else n for n, k in self._chosen(name))
+
+    def portrait(self, name: str) -> Chosen:
+        """What the selection for a target was decided on."""
+        return Chosen.from_json(json.loads(str(self.learned[f"{name}/portrait"])))
 
     def _chosen(self, name: str) -> list[tuple[str, int]]:
         pairs = zip(self.learned[f"{name}/variable"], self.learned[f"{name}/lag"], strict=True)
@@ -184,21 +191,22 @@ class SelectInputs:
         return {}
 
 
-def select_target(blocks: Sequence[Log], target: Target, search: Search) -> Selection:
-    """The selection for a target from blocks (logs on the analysis raster); windows never span two of them.
+def stretches(blocks: Sequence[Log], target: Target) -> list[Array]:
+    """The variables of a target, complete and without a gap, from blocks (logs on the analysis raster); of
+    targets without lags only the samples at rest.
 
     Raises:
-        LogError: a variable is not there, is constant, or has too few samples.
+        LogError: a variable is not there.
     """
-    stretches: list[Array] = []
+    found: list[Array] = []
     for block in blocks:
         values = np.column_stack(list(columns(block, target.variables).values()))
         if GATE in block.groups[ANALYSIS].signals and not target.lagged:
             values = values[block.values(GATE) >= MIN_GATE]
-            stretches += [values[np.isfinite(values).all(axis=1)]]
+            found += [values[np.isfinite(values).all(axis=1)]]
         else:
-            stretches += segments(block.groups[ANALYSIS].time, values)
-    return select(stretches, target.variables, target.output, target.space, search)
+            found += segments(block.groups[ANALYSIS].time, values)
+    return found
 
 
 def regressor_name(variable: str, lag: int) -> str:
@@ -218,15 +226,12 @@ def _unbroken(time: Array, step: float) -> NDArray[np.int64]:
     return at - np.maximum.accumulate(np.where(late, at, 0))
 
 
-def _arrays(selection: Selection) -> dict[str, NDArray[Any]]:
-    """What the record keeps of a selection."""
-    found: Found = selection.found
+def _arrays(selection: Selection, drawn: Chosen) -> dict[str, NDArray[Any]]:
+    """What is kept of a selection."""
     pairs = selection.structure.regressors
-    best = found.best[:SHOWN]
     return {
         "variable": np.array([n for n, _ in pairs], dtype="U"),
         "lag": np.array([k for _, k in pairs], dtype=np.int64),
-        "scores": np.array([s for _, s in best]),
-        "history": np.array(found.history),
         "notes": np.array(selection.notes, dtype="U"),
+        "portrait": np.array(json.dumps(asdict(drawn))),
     }

@@ -17,6 +17,7 @@ from viz.monitoring import ERRORS, POLES, READINGS, TRUTH, Monitored
 from viz.operating_map import MAP, SOM, TRAIL_S
 from viz.plane import HEIGHT, WIDTH
 from viz.residuals import Residual
+from viz.selection import selection_tabs
 from viz.send import TIMELINE
 from viz.series import Array, limits
 from viz.signals import LogContents, Panel
@@ -81,6 +82,7 @@ def run_layout(
         _evidence(lanes, diagnosis),
         *([_distributions(spread, diagnosis)] if spread else []),
         *([_model()] if modelled else []),
+        *selection_tabs(diagnosis.about.selections if diagnosis.about else ()),
     ]
     return _blueprint(tabs, span)
 
@@ -191,7 +193,7 @@ def _distributions(spread: Mapping[str, str], diagnosis: Diagnosis) -> rrb.Conta
 
 
 def _model() -> rrb.Container:
-    """What the detector is made of. The plots of an input selection join here, as views beside the text."""
+    """What the detector is made of."""
     views: list[rrb.View] = [rrb.TextDocumentView(origin=MODEL, name="What the detector is made of")]
     return rrb.Horizontal(*views, name="Model")
 

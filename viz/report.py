@@ -16,9 +16,10 @@ from typing import Any
 
 import polars as pl
 
-from stages.results import Diagnosis, Magnitude
+from stages.results import Chosen, Diagnosis, Magnitude
 from viz.colours import hex_of, of_fault
 from viz.plots import distribution_plot, matrices_plot, timeline_plot
+from viz.selection_plot import selection_plot
 from viz.statistics import leads, signature
 from viz.summary import magnitude_text, summary
 from viz.svg import style, themed, variables
@@ -90,9 +91,15 @@ def sections(report: str) -> Iterator[Section]:
 
 
 def report(
-    title: str, rows: Sequence[Row], drawn: Sequence[Section], fleet: pl.DataFrame, notes: Sequence[str] = ()
+    title: str,
+    rows: Sequence[Row],
+    drawn: Sequence[Section],
+    fleet: pl.DataFrame,
+    notes: Sequence[str] = (),
+    selections: Sequence[Chosen] = (),
 ) -> str:
-    """The whole page. ``rows``: of the summary; ``drawn``: sections of some of their logs."""
+    """The whole page. ``rows``: of the summary; ``drawn``: sections of some of their logs; ``selections``:
+    of the detector's inputs."""
     known = {s.log for s in drawn}
     parts = [
         f'<h1 id="top">{escape(title)}</h1>',
@@ -104,6 +111,7 @@ def report(
         _truth(rows),
         _matrices(drawn),
         _fleet(fleet),
+        _selections(selections),
         *(s.text() for s in drawn),
     ]
     place = files("viz").joinpath("page")
@@ -217,6 +225,12 @@ def _matrices(drawn: Sequence[Section]) -> str:
         )
         drawing = themed(figure) if figure is not None else ""
     return f"<h2>Signatures and isolability, by verdict</h2>\n{drawing}" if drawing else ""
+
+
+def _selections(chosen: Sequence[Chosen]) -> str:
+    with style():
+        parts = [f"<h3>{escape(one.name)}</h3>{themed(selection_plot(one))}" for one in chosen]
+    return f"<h2>What the inputs were selected on</h2>\n{''.join(parts)}" if parts else ""
 
 
 def _mean(several: Sequence[Mapping[str, float]]) -> dict[str, float]:

@@ -6,14 +6,16 @@ import hashlib
 import json
 import os
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from pathlib import Path
 
 import rerun as rr
+import rerun.blueprint as rrb
 
 from ingest.errors import LogError
 from ingest.log import Log
-from stages.results import Diagnosis
+from stages.results import Chosen, Diagnosis
 from viz import send
 from viz.distributions import log_distributions
 from viz.evidence import log_evidence
@@ -23,6 +25,7 @@ from viz.model import log_model
 from viz.monitoring import log_monitoring
 from viz.operating_map import log_operating_map
 from viz.residuals import log_residuals
+from viz.selection import log_selections, selection_tabs
 from viz.signals import log_signals
 from viz.summary import log_summary, regime_table, summary
 
@@ -45,6 +48,20 @@ def write_log_timeline(log: Log, path: Path) -> None:
     write_recording(path, log.name, [log.name, log.facts.get("sha256")], lambda rec: log_log(rec, log))
 
 
+def write_selections(chosen: Sequence[Chosen], name: str, path: Path) -> None:
+    """The Rerun recording of input selections; see :func:`write_timeline`."""
+
+    def fill(rec: rr.RecordingStream) -> None:
+        log_selections(rec, chosen)
+        panels = [
+            panel(state="collapsed") for panel in (rrb.BlueprintPanel, rrb.SelectionPanel, rrb.TimePanel)
+        ]
+        layout = rrb.Blueprint(rrb.Tabs(*selection_tabs(chosen)), *panels)
+        rec.send_blueprint(layout, make_active=True, make_default=True)
+
+    _write(path, name, [name, *(asdict(one) for one in chosen)], fill)
+
+
 def log_diagnosis(rec: rr.RecordingStream, diagnosis: Diagnosis) -> None:
     """Everything known of a run, and the layout that shows it, into ``rec``."""
     span = checked_span(diagnosis.log)
@@ -55,6 +72,7 @@ def log_diagnosis(rec: rr.RecordingStream, diagnosis: Diagnosis) -> None:
     monitored = log_monitoring(rec, diagnosis)
     spread = log_distributions(rec, diagnosis)
     modelled = log_model(rec, diagnosis)
+    log_selections(rec, diagnosis.about.selections if diagnosis.about else ())
     send.markdown(rec, "/summary", summary(diagnosis, contents.remarks))
     plane = diagnosis.operating_map
     if plane is not None:

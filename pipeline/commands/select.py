@@ -38,22 +38,31 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--seed", type=int, metavar="N", help="of the rows drawn and of the searches; default 0"
     )
     parser.add_argument("--map", type=Path, help="TOML file that names and converts the logs' channels")
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR",
+        help="also write selection.json, selection.rrd and <output>.svg there: correlations, the best genes, "
+        "the search's course, and what a model of the best one leaves",
+    )  # fmt: skip
     parser.add_argument("--json", action="store_true", help="print everything as JSON")
 
 
 def run(args: argparse.Namespace) -> int:
     from ingest import read_log
+    from ingest.errors import LogError
     from ingest.files import find_logs
     from ingest.maps import load_map
     from pipeline.console import Problems, print_json, talk
     from pipeline.recipe import load_recipe
-    from pipeline.selecting import Request, select_inputs, to_json
+    from pipeline.selecting import Request, select_inputs, to_json, write_answers
 
     problems = Problems()
     with problems:
         recipe = load_recipe(args.recipe)
     with problems:
         names = load_map(args.map) if args.map else None
+    with problems:
+        if args.out is not None and args.out.exists() and not args.out.is_dir():
+            raise LogError(f"{args.out} is not a folder; --out takes one, or one that is to be made")
     with problems:
         paths = find_logs(args.logs)
     problems.raise_any()
@@ -66,12 +75,16 @@ def run(args: argparse.Namespace) -> int:
     request = Request(
         outputs=args.output, inputs=args.input, search=search | ({"auto": True} if args.auto else {}),
         bounds={f"{k}_max": getattr(args, f"{k}_max") for k in ("na", "nb", "nk")},
+        portraits=args.out is not None,
     )  # fmt: skip
     selected = select_inputs(logs, recipe, request, progress=talk)
+    if args.out is not None:
+        write_answers(selected, args.out)
+        talk(f"pictures in {args.out}")
     if args.json:
-        print_json({output: to_json(*pair) for output, pair in selected.items()})
+        print_json({output: to_json(*answer[:2]) for output, answer in selected.items()})
     else:
-        for output, (selection, seconds) in selected.items():
+        for output, (selection, seconds, _) in selected.items():
             _print(output, selection, seconds)
     return 0
 

@@ -56,12 +56,27 @@ def test_the_table_names_what_was_found(path: Path, capsys: pytest.CaptureFixtur
     assert "\nu2          1   2   t-2\n" in out
 
 
+def test_what_it_was_decided_on_is_written(
+    path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "new" / "pictures"
+    assert main(["select", str(path), *WORDS, "--json", "--out", str(out)]) == 0
+    assert sorted(p.name for p in out.iterdir()) == ["selection.json", "selection.rrd", "y1.svg", "y2.svg"]
+    printed, kept = json.loads(capsys.readouterr().out), json.loads((out / "selection.json").read_text())
+    assert {k: v for k, v in kept["y1"].items() if k != "portrait"} == printed["y1"]
+    assert kept["y2"]["portrait"]["output"] == "y2"
+    (tmp_path / "file").touch()
+    assert main(["select", str(path), *WORDS, "--out", str(tmp_path / "file")]) == 2
+    assert "preparing" not in (err := capsys.readouterr().err)
+    assert f"{tmp_path / 'file'} is not a folder" in err
+
+
 def test_bounds_of_the_command_line_count(log: Log) -> None:
     request = Request(
         outputs=["y2"], inputs=["u1", "u2"], bounds={"na_max": 2, "nb_max": 2, "nk_max": None},  # type: ignore[dict-item]
         search={"search": "exhaustive"},
     )  # fmt: skip
-    ((selection, _),) = select_inputs([log], load_recipe("narx"), request).values()
+    ((selection, *_),) = select_inputs([log], load_recipe("narx"), request).values()
     assert selection.space.size == 3 * 17 * 17
     assert selection.structure.na == {"y2": 2}
 

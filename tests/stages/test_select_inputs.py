@@ -44,6 +44,11 @@ def test_the_chosen_regressors_are_the_true_ones_and_their_columns_are_lags(fitt
     assert x[6:].std() == pytest.approx(1.0, rel=0.2)
 
 
+def test_what_it_was_decided_on_is_kept(fitted: SelectInputs) -> None:
+    one = fitted.portrait("f_y")
+    assert (one.name, one.output, one.taken) == ("f_y", "y", TRUE)
+
+
 def test_a_window_never_spans_a_gap_and_blocks_change_nothing(fitted: SelectInputs) -> None:
     log = block(602, 200, gap=90)
     whole = columns(transform([fitted], log))
