@@ -4,7 +4,8 @@
     python benchmarks/input_selection.py --part 1 2 --seeds 20
 
 1 exact recovery, 2 speed of the exhaustive search, 3 genetic and coordinate search, 4 final models, 5 scale,
-6 strongly nonlinear systems and open cases, 7 others' methods, 8 the diesel engine (4.3.2).
+6 strongly nonlinear systems, 7 others' methods, 8 the diesel engine (4.3.2), 9 cases in which nothing is
+promised.
 
 Part 7 compares with what can be imported: `pip install --target others sysidentpy pysindy minisom
 linear-tree` and PYTHONPATH=others. Part 8 takes bench data from --bench DIR where there are some.
@@ -29,7 +30,7 @@ from numpy.typing import NDArray
 HERE = Path(__file__).resolve().parent
 sys.path = [str(HERE.parent), *(p for p in sys.path if Path(p).resolve() != HERE)]  # `ingest` is the package
 
-from benchmarks.selection_cases import Case, examples, show, system_case, systems
+from benchmarks.selection_cases import Case, chosen, examples, show, system_case
 from benchmarks.systems import SYSTEMS
 from stages.coordinate import coordinate
 from stages.criteria import score_of
@@ -37,7 +38,7 @@ from stages.exhaustive import weighted_rss
 from stages.genes import Space
 from stages.genetic import Genetic, genetic
 from stages.gram import Gram, gather
-from stages.selecting import Search, common_partition, select
+from stages.selecting import Search, common_partition
 
 Array = NDArray[np.float64]
 FIRST_SEED = 9100
@@ -71,13 +72,6 @@ def recovery(seeds: Sequence[int]) -> None:
                 f">= {share:.0%}" + (", <= 1.5 s" if n == 4000 else ""),
                 count >= share * len(seeds) and (n != 4000 or median <= 1.5),
             )  # fmt: skip
-
-
-def chosen(case: Case, search: Search) -> tuple[bool, float]:
-    """Whether the true structure was selected, and the CPU seconds it took."""
-    began = time.process_time()
-    selection = select([case.z], case.names, case.output, case.space, search)
-    return selection.structure == case.truth, time.process_time() - began
 
 
 def gram_of(case: Case, regions: int) -> Gram:
@@ -193,39 +187,11 @@ def nonlinear(seeds: Sequence[int]) -> None:
             6, f"{SYSTEMS[i].name}: exact, of {len(seeds)}", f"{hits}, median {median:.2f} s",
             ">= 97 %, <= 2.5 s", hits >= 0.97 * len(seeds) and median <= 2.5,
         )  # fmt: skip
-    _open_cases(seeds[: max(len(seeds) // 5, 1)])
-
-
-def _open_cases(seeds: Sequence[int]) -> None:
-    """What happens where nothing is promised: few rows, coloured noise, outliers."""
-
-    def coloured(rng: np.random.Generator, n: int) -> Array:
-        e = rng.standard_normal(n)
-        for t in range(1, n):
-            e[t] = 0.7 * e[t - 1] + np.sqrt(1 - 0.49) * e[t]
-        return e
-
-    def outliers(rng: np.random.Generator, n: int) -> Array:
-        return rng.standard_normal(n) * np.where(rng.random(n) < 0.01, 10.0, 1.0)
-
-    for n in (500, 300):
-        hits: dict[str, int] = {}
-        for seed in seeds:
-            for case in (*examples(n, seed), *systems(n, seed)):
-                hits[case.name] = hits.get(case.name, 0) + chosen(case, Search())[0]
-        text = ", ".join(f"{k} {v}" for k, v in hits.items())
-        show(6, f"N = {n}: exact, of {len(seeds)}", text)
-    for word, noise in (("coloured noise, AR(1) 0.7", coloured), ("1 % outliers of 10 sd", outliers)):
-        counts = [
-            sum(chosen(system_case(s, 4000, seed, noise), Search())[0] for seed in seeds) for s in SYSTEMS
-        ]
-        text = ", ".join(f"{s.name} {c}" for s, c in zip(SYSTEMS, counts, strict=True))
-        show(6, f"{word}: exact, of {len(seeds)}", text)
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--part", type=int, nargs="+", choices=range(1, 9), default=list(range(1, 9)))
+    parser.add_argument("--part", type=int, nargs="+", choices=range(1, 10), default=list(range(1, 10)))
     parser.add_argument("--seeds", type=int, default=100)
     parser.add_argument("--first", type=int, default=FIRST_SEED)
     parser.add_argument("--bench", type=Path, help="folder of recorded bench data, for part 8")
@@ -241,13 +207,20 @@ def main() -> int:
         elif part == 6:
             nonlinear(seeds)
         else:
-            from benchmarks import selection_diesel, selection_models, selection_peers, selection_scale
+            from benchmarks import (
+                selection_diesel,
+                selection_models,
+                selection_open,
+                selection_peers,
+                selection_scale,
+            )
 
             {
                 4: lambda: selection_models.run(seeds[:30]),
                 5: lambda: selection_scale.run(seeds[:3]),
                 7: lambda: selection_peers.run(seeds[:5]),
                 8: lambda: selection_diesel.run(args.bench),
+                9: lambda: selection_open.run(seeds[: max(len(seeds) // 5, 1)]),
             }[part]()
     return 0
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -12,7 +13,7 @@ from benchmarks.systems import SYSTEMS, Noise, System
 from ingest.simulators.examples import STRUCTURES, example1, example2
 from stages.genes import Space, Structure
 from stages.lags import Lagged
-from stages.selecting import lagged_rows
+from stages.selecting import Search, lagged_rows, select
 
 Array = NDArray[np.float64]
 NOISE = {"y1": 0.1, "y2": 0.2, "y": 0.05}  # standard deviations of (4.16) and (4.19)
@@ -67,6 +68,13 @@ def system_case(system: System, n: int, seed: int, noise: Noise | None = None) -
         name=system.name, z=np.column_stack(list(data.values())), names=names, output="y", space=space,
         truth=system.structure, noise=system.sd,
     )  # fmt: skip
+
+
+def chosen(case: Case, search: Search) -> tuple[bool, float]:
+    """Whether the true structure was selected, and the CPU seconds it took."""
+    began = time.process_time()
+    selection = select([case.z], case.names, case.output, case.space, search)
+    return selection.structure == case.truth, time.process_time() - began
 
 
 def show(part: int, what: str, measured: str, target: str = "", holds: bool | None = None) -> None:
