@@ -59,7 +59,7 @@ def write_selections(chosen: Sequence[Chosen], name: str, path: Path) -> None:
         layout = rrb.Blueprint(rrb.Tabs(*selection_tabs(chosen)), *panels)
         rec.send_blueprint(layout, make_active=True, make_default=True)
 
-    _write(path, name, [name, *(asdict(one) for one in chosen)], fill)
+    write_recording(path, name, [name, *(asdict(one) for one in chosen)], fill)
 
 
 def log_diagnosis(rec: rr.RecordingStream, diagnosis: Diagnosis) -> None:
