@@ -120,3 +120,28 @@ def _together(paths: Sequence[str], names: Path | None, path: Path) -> list[Show
 def _labels(first: Diagnosis, second: Diagnosis) -> tuple[str, str]:
     keys = [(one.verdict.detector or one.verdict.recipe)[:8] for one in (first, second)]
     return (keys[0], keys[1]) if keys[0] != keys[1] else (f"{keys[0]} (1)", f"{keys[1]} (2)")
+
+
+def layers(shown: Sequence[Shown], runs: Sequence[Path], folder: Path) -> list[Shown]:
+    """Layers of ``runs`` for the first recording shown, written to ``folder``.
+
+    Raises:
+        LogError: nothing shown is a recording, or one of ``runs`` is not a run.
+    """
+    from viz.layers import write_layer
+
+    if not runs:
+        return []
+    base = next((one for one in shown if isinstance(one, Path) and one.is_file()), None)
+    if base is None:
+        raise LogError(
+            "--layer: nothing to add it to; name a run that has its timeline.rrd (run without --no-timeline)"
+        )
+    made: list[Shown] = []
+    for number, run in enumerate(runs):
+        diagnosis = read_run(run)
+        path = folder / f"layer_{number}.rrd"
+        label = (diagnosis.verdict.detector or diagnosis.verdict.recipe)[:8]
+        write_layer(diagnosis, base, path, label)
+        made.append(path)
+    return made

@@ -11,7 +11,8 @@ import rerun.blueprint as rrb
 
 from stages.results import Diagnosis, OperatingMap
 from viz.distributions import LEADS, bounds
-from viz.lanes import FAULT_LANES, REGIME
+from viz.lanes import DIAGNOSED, FAULT_LANES, REGIME
+from viz.layers import FINDINGS, residual_layers
 from viz.model import MODEL
 from viz.monitoring import ERRORS, POLES, READINGS, TRUTH, Monitored
 from viz.operating_map import MAP, SOM, TRAIL_S
@@ -248,7 +249,7 @@ def _residual_view(residual: Residual, legend: bool = False) -> rrb.TimeSeriesVi
     low, high = residual.range
     scale = f"{residual.title} from {low:.2g} to {high:.2g}"
     title = f"{scale} · grey ±3 sigma · red beyond · yellow: detected · white bar: injected"
-    paths = [f"{residual.path}/**"]
+    paths = [f"{residual.path}/**", f"{residual_layers(residual.name)}/**"]
     return plot(title, paths, residual.range, legend=legend)
 
 
@@ -269,4 +270,5 @@ def lane_view(name: str, paths: Sequence[str]) -> list[rrb.StateTimelineView]:
     if not paths:
         return []
     axis = rrb.TimeAxis(link="LinkToGlobal")
-    return [rrb.StateTimelineView(origin="/", contents=[f"+ {p}" for p in paths], name=name, time_view=axis)]
+    contents = [f"+ {path}" for path in paths] + ([f"+ {FINDINGS}/**"] if DIAGNOSED in paths else [])
+    return [rrb.StateTimelineView(origin="/", contents=contents, name=name, time_view=axis)]

@@ -38,21 +38,26 @@ def render(recording: Path, folder: Path, *, at: float | None = None) -> list[Pa
         raise LogError(f"{recording} is not a Rerun recording")
     folder.mkdir(parents=True, exist_ok=True)
     pictures = []
-    with _viewer() as viewer:
-        _open(viewer, recording)
+    with viewer() as client:
+        opened(client, recording)
         if at is not None:
-            viewer.set_time(TIMELINE, duration=at, play_state="paused")
+            client.set_time(TIMELINE, duration=at, play_state="paused")
         time.sleep(TOASTS_S)
-        for name in _tabs(viewer):
+        for name in tabs(client):
             path = folder / f"{re.sub(r'[^a-z0-9]+', '_', name.lower())}.png"
-            path.write_bytes(_settled(viewer))
+            path.write_bytes(settled(client))
             pictures.append(path)
-            _check(viewer, recording, name)
+            _check(client, recording, name)
     return pictures
 
 
 @contextmanager
-def _viewer() -> Iterator[ViewerClient]:
+def viewer() -> Iterator[ViewerClient]:
+    """A viewer without a screen, reachable from this machine only, and how to tell it what to do.
+
+    Raises:
+        DynoscopeError: there is no software driver, or the viewer does not start.
+    """
     driver = software_driver()
     if driver is None:
         raise DynoscopeError(
@@ -69,44 +74,49 @@ def _viewer() -> Iterator[ViewerClient]:
             process.terminate()
 
 
-def _open(viewer: ViewerClient, recording: Path) -> None:
-    viewer.open(str(recording.resolve()))
+def opened(client: ViewerClient, recording: Path) -> None:
+    """Open a recording; returns once the viewer has it.
+
+    Raises:
+        DynoscopeError: it does not load in time.
+    """
+    client.open(str(recording.resolve()))
     deadline = time.monotonic() + TIMEOUT_S
     while time.monotonic() < deadline:
-        state = viewer.get_state()
+        state = client.get_state()
         if not state.loading and any(r.timelines for r in state.recordings):
             return
         time.sleep(0.05)
     raise DynoscopeError(f"{recording} did not load within {TIMEOUT_S:g} s; check it with `rerun rrd verify`")
 
 
-def _tabs(viewer: ViewerClient) -> Iterator[str]:
+def tabs(client: ViewerClient) -> Iterator[str]:
     """Bring each tab of the outermost container to the front and give its name; ``all`` without tabs."""
-    blueprint: dict[str, Any] = viewer.get_blueprint().blueprint
+    blueprint: dict[str, Any] = client.get_blueprint().blueprint
     root: str = blueprint["/viewport"]["ViewportBlueprint"]["root_container"]
-    tabs = blueprint[f"/container/{root}"]["ContainerBlueprint"]
-    if tabs.get("container_kind") != "Tabs":
+    root_tabs = blueprint[f"/container/{root}"]["ContainerBlueprint"]
+    if root_tabs.get("container_kind") != "Tabs":
         yield "all"
         return
-    for tab in np.atleast_1d(tabs["contents"]).tolist():  # a single one stands without a list
-        tabs["active_tab"] = tab
-        viewer.set_blueprint(blueprint, of="recording")
+    for tab in np.atleast_1d(root_tabs["contents"]).tolist():  # a single one stands without a list
+        root_tabs["active_tab"] = tab
+        client.set_blueprint(blueprint, of="recording")
         entry = blueprint[f"/{tab.lstrip('/')}"]
         yield str(next(e["display_name"] for e in entry.values() if "display_name" in e))
 
 
-def _settled(viewer: ViewerClient) -> bytes:
+def settled(client: ViewerClient) -> bytes:
     """The picture once two in a row are equal: data arrives while frames are drawn."""
     deadline = time.monotonic() + TIMEOUT_S
     last = b""
-    while (picture := viewer.take_screenshot()) != last and time.monotonic() < deadline:
+    while (picture := client.take_screenshot()) != last and time.monotonic() < deadline:
         last = picture
     return picture
 
 
-def _check(viewer: ViewerClient, recording: Path, tab: str) -> None:
-    reports = [f"{view.name}: {report}" for view in viewer.get_state().views for report in view.reports]
-    logs = [e.message for e in viewer.get_logs() if e.level in ("WARN", "ERROR")]
+def _check(client: ViewerClient, recording: Path, tab: str) -> None:
+    reports = [f"{view.name}: {report}" for view in client.get_state().views for report in view.reports]
+    logs = [e.message for e in client.get_logs() if e.level in ("WARN", "ERROR")]
     problems = reports + [m for m in logs if "oftware rasterizer" not in m]
     if problems:
         raise DynoscopeError(f"{recording}, tab {tab}: the viewer reports {'; '.join(problems)}")

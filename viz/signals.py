@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import polars as pl
@@ -14,12 +15,16 @@ from numpy.typing import NDArray
 from ingest.log import Group, Log
 from viz import send
 from viz.colours import of_index
-from viz.series import Array, break_at_gaps, envelope, lane, limits
+from viz.series import Array, break_at_gaps, envelope, lane, limits, union, usual_step
 
-FULL_ROWS = 200_000
-"""A group with more rows is drawn as its envelope ..."""
-ENVELOPE_POINTS = 50_000
-"""... of about this many points."""
+BYTES = 20e6
+"""Of all signals' lines in a recording: what a viewer opens and draws at once. Longer ones are drawn as their
+envelopes, with every value about the moments that matter."""
+ROW_BYTES, VALUE_BYTES = 15.0, 8.4
+"""Of a row of a plot and of a value in it, measured."""
+ENVELOPE_POINTS, FEWEST = 50_000, 4_000
+DETAIL = 0.25
+"""Share of the bytes that is kept for the moments."""
 SERIES_PER_PANEL = 8
 RATIO = 10.0
 """Signals whose greatest values differ by more do not share a plot."""
@@ -47,22 +52,73 @@ class LogContents:
     """What was not drawn as it is."""
 
 
-def log_signals(rec: rr.RecordingStream, log: Log) -> LogContents:
-    """All signals of ``log`` below ``/signals`` and ``/states``."""
-    panels = [_log_panel(rec, log, names) for names in _plots(log)]
+@dataclass(frozen=True, kw_only=True)
+class Reduction:
+    """How a long group is drawn: as an envelope of about ``points`` points, and as it is inside ``windows``
+    (s)."""
+
+    points: int
+    windows: tuple[tuple[float, float], ...] = ()
+
+
+def log_signals(rec: rr.RecordingStream, log: Log, moments: Sequence[float] = ()) -> LogContents:
+    """All signals of ``log`` below ``/signals`` and ``/states``; ``moments`` (s) are drawn in detail where a
+    log is too long for that throughout."""
+    plots = _plots(log)
+    reduced = reductions(log, plots, moments)
+    panels = [_log_panel(rec, log, names, reduced) for names in plots]
     text = [n for n, g in _each(log) if _is_text(g, n)]
     return LogContents(
         panels=tuple(panels),
         lanes=tuple(_log_lane(rec, log.group_of(name), name) for name in text),
         remarks=(
             *(f"{n}: neither number nor text, not drawn" for n, g in _each(log) if not _is_drawn(g, n)),
-            *(
-                f"group {g.name}: {g.frame.height} rows, drawn as the least and greatest of each stretch"
-                for g in log.groups.values()
-                if g.frame.height > FULL_ROWS
-            ),
+            *(_reduced(log.groups[key], how) for key, how in reduced.items()),
         ),
     )
+
+
+def reductions(
+    log: Log, plots: Sequence[Sequence[str]], moments: Sequence[float] = ()
+) -> dict[str, Reduction]:
+    """How the groups are drawn that are too long to be drawn as they are, so that all fit into ``BYTES``."""
+    cost = {
+        key: sum(
+            ROW_BYTES + VALUE_BYTES * len(shown)
+            for names in plots
+            if (shown := [n for n in names if n in group.signals])
+        )
+        for key, group in log.groups.items()
+    }
+    rows = {key: group.frame.height for key, group in log.groups.items()}
+
+    def needed(points: float) -> float:
+        return sum(min(rows[key], points) * cost[key] for key in rows)
+
+    if needed(np.inf) <= BYTES:
+        return {}
+    points, allowed = ENVELOPE_POINTS, (1.0 - DETAIL if moments else 1.0) * BYTES
+    while points > FEWEST and needed(points) > allowed:
+        points = int(0.8 * points)
+    long = [key for key in rows if rows[key] > points]
+    share = DETAIL * BYTES / max(sum(cost[key] for key in long), 1.0) / max(len(moments), 1)
+    return {
+        key: Reduction(points=points, windows=_windows(log.groups[key], moments, int(share))) for key in long
+    }
+
+
+def _windows(group: Group, moments: Sequence[float], count: int) -> tuple[tuple[float, float], ...]:
+    """Stretches of about ``count`` rows around each of the moments."""
+    half = 0.5 * count * usual_step(group.time)
+    return tuple(union((at - half, at + half) for at in moments))
+
+
+def _reduced(group: Group, how: Reduction) -> str:
+    words = f"group {group.name}: {group.frame.height} rows, drawn as the least and greatest of each stretch"
+    if not how.windows:
+        return words
+    spans = ", ".join(f"{a:.4g} to {b:.4g} s" for a, b in how.windows[:4])
+    return f"{words}; every value from {spans}" + (" …" if len(how.windows) > 4 else "")
 
 
 def in_order(group: Group) -> tuple[Array, NDArray[np.intp]]:
@@ -130,7 +186,9 @@ def _of_one_size(sizes: Mapping[str, float]) -> list[list[str]]:
     return plots
 
 
-def _log_panel(rec: rr.RecordingStream, log: Log, names: list[str]) -> Panel:
+def _log_panel(
+    rec: rr.RecordingStream, log: Log, names: list[str], reduced: Mapping[str, Reduction]
+) -> Panel:
     unit = log.signals[names[0]].unit
     by_group: dict[str, list[str]] = defaultdict(list)
     for key, group in log.groups.items():
@@ -140,7 +198,7 @@ def _log_panel(rec: rr.RecordingStream, log: Log, names: list[str]) -> Panel:
         if members:
             entities.append(send.entity("signals", key, f"{members[0]} [{unit or '?'}]"))
             colours = [of_index(names.index(name)) for name in members]
-            time, values = curves(log.groups[key], members)
+            time, values = curves(log.groups[key], members, reduced.get(key))
             send.lines(rec, entities[-1], time, values, names=members, colours=colours)
             extremes += [
                 f(values[np.isfinite(values)]) for f in (np.min, np.max) if np.isfinite(values).any()
@@ -156,13 +214,23 @@ def _log_panel(rec: rr.RecordingStream, log: Log, names: list[str]) -> Panel:
     )
 
 
-def curves(group: Group, names: list[str]) -> tuple[Array, Array]:
-    """Time stamps (m,) and values (m, k) to draw: in order, broken at gaps, reduced if long."""
+def curves(group: Group, names: list[str], how: Reduction | None = None) -> tuple[Array, Array]:
+    """Time stamps (m,) and values (m, k) to draw: in order, broken at gaps, reduced as ``how`` says."""
     time, rows = in_order(group)
     columns = group.frame.select(pl.col(name).cast(pl.Float64).fill_null(float("nan")) for name in names)
     values = send.flat(columns.to_numpy())[rows]
     time, values = break_at_gaps(time, values)
-    return envelope(time, values, ENVELOPE_POINTS) if group.frame.height > FULL_ROWS else (time, values)
+    if how is None or time.size <= how.points:
+        return time, values
+    edges = [0, *np.searchsorted(time, np.array(how.windows).ravel()).tolist(), time.size]
+    parts = []
+    for i, (start, end) in enumerate(pairwise(edges)):
+        part = time[start:end], values[start:end]
+        outside = i % 2 == 0
+        parts.append(
+            envelope(*part, max(2, round(how.points * (end - start) / time.size))) if outside else part
+        )
+    return np.concatenate([t for t, _ in parts]), np.concatenate([v for _, v in parts])
 
 
 def _log_lane(rec: rr.RecordingStream, group: Group, name: str) -> str:

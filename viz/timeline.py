@@ -15,7 +15,7 @@ import rerun.blueprint as rrb
 
 from ingest.errors import LogError
 from ingest.log import Log
-from stages.results import Chosen, Diagnosis
+from stages.results import Chosen, Diagnosis, Verdict
 from viz import send
 from viz.distributions import log_distributions
 from viz.evidence import log_evidence
@@ -29,6 +29,7 @@ from viz.selection import log_selections, selection_tabs
 from viz.signals import log_signals
 from viz.summary import log_summary, regime_table, summary
 
+MOMENTS = 8
 LATEST_S = 9.0e9  # Rerun counts nanoseconds in 64 bits
 
 
@@ -65,7 +66,7 @@ def write_selections(chosen: Sequence[Chosen], name: str, path: Path) -> None:
 def log_diagnosis(rec: rr.RecordingStream, diagnosis: Diagnosis) -> None:
     """Everything known of a run, and the layout that shows it, into ``rec``."""
     span = checked_span(diagnosis.log)
-    contents = log_signals(rec, diagnosis.log)
+    contents = log_signals(rec, diagnosis.log, moments(diagnosis.log, diagnosis.verdict))
     residuals = log_residuals(rec, diagnosis)
     lanes = log_lanes(rec, diagnosis)
     log_evidence(rec, diagnosis)
@@ -94,10 +95,19 @@ def log_diagnosis(rec: rr.RecordingStream, diagnosis: Diagnosis) -> None:
 def log_log(rec: rr.RecordingStream, log: Log) -> None:
     """A log's signals, events and facts, and the layout that shows them, into ``rec``."""
     span = checked_span(log)
-    contents = log_signals(rec, log)
+    contents = log_signals(rec, log, moments(log))
     lanes = log_event_lanes(rec, log)
     send.markdown(rec, "/summary", log_summary(log, contents.remarks))
     rec.send_blueprint(log_layout(contents, lanes, span), make_active=True, make_default=True)
+
+
+def moments(log: Log, verdict: Verdict | None = None) -> list[float]:
+    """When what matters began, s: injected faults, onset and detection, other findings; the first few."""
+    found = [event.t_start for event in log.events if event.source != "quality"]
+    if verdict is not None:
+        told = [verdict.onset_s, verdict.detected_s, *(event.t_start for event in verdict.events)]
+        found += [at for at in told if at is not None]
+    return sorted(dict.fromkeys(found))[:MOMENTS]
 
 
 def checked_span(log: Log) -> tuple[float, float]:

@@ -16,6 +16,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="PATH",
         help="a run's folder, a batch's, an .rrd recording, or a log; two to four of them side by side",
     )
+    parser.add_argument(
+        "--layer", type=Path, action="append", default=[], metavar="RUN",
+        help="a later run of the same log, shown inside the first one's timeline",
+    )  # fmt: skip
     parser.add_argument("--map", type=Path, help="TOML file that names and converts the channels of logs")
     parser.add_argument("--web", action="store_true", help="serve to a browser on this machine")
     parser.add_argument("--save", type=Path, metavar="FILE.rrd", help="write one recording, open nothing")
@@ -24,11 +28,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     from tempfile import TemporaryDirectory
 
-    from pipeline.viewing import to_show
+    from pipeline.viewing import layers, to_show
     from viz import show
 
     with TemporaryDirectory(prefix="dynoscope-") as folder:
-        show(*to_show(args.paths, args.map, Path(folder)), web=args.web, save=args.save)
+        shown = to_show(args.paths, args.map, Path(folder))
+        shown += layers(shown, args.layer, Path(folder))
+        show(*shown, web=args.web, save=args.save)
     if args.save is not None:
         print(f"wrote {args.save}", file=sys.stderr)
     return 0

@@ -15,7 +15,7 @@ from pipeline import run
 from pipeline.batch import Options
 from pipeline.detector import Detector
 from pipeline.runs import read_run
-from pipeline.viewing import to_show
+from pipeline.viewing import layers, to_show
 from stages.results import Diagnosis
 from viz.beside import write_beside, write_comparison
 from viz.viewer import executable
@@ -115,3 +115,17 @@ def test_what_does_not_go_together_is_named(out: Path, logs: Path, tmp_path: Pat
     with pytest.raises(LogError, match="no residual in common"):
         write_comparison(made, bare, tmp_path / "x.rrd", ("a", "b"))
     assert not list(tmp_path.iterdir())
+
+
+def test_a_layer_needs_a_recording_to_be_added_to(out: Path, other: Path, tmp_path: Path) -> None:
+    from viz.timeline import write_timeline
+
+    with pytest.raises(LogError, match="nothing to add it to"):
+        layers(to_show([str(out / "faulty")], None, tmp_path), [other], tmp_path)
+    base = tmp_path / "base.rrd"
+    write_timeline(read_run(out / "faulty"), base)
+    (layer,) = layers([base], [other], tmp_path)
+    assert isinstance(layer, Path)
+    assert sound(layer)
+    assert any(e.startswith("/layers/found/") for e in entities(layer))
+    assert layers([base], [], tmp_path) == []

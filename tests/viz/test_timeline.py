@@ -243,8 +243,9 @@ def test_rows_out_of_order_are_shown_in_order(tmp_path: Path) -> None:
 
 
 def test_long_groups_keep_their_peaks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(signals, "FULL_ROWS", 5000)
+    monkeypatch.setattr(signals, "BYTES", 60_000)
     monkeypatch.setattr(signals, "ENVELOPE_POINTS", 1000)
+    monkeypatch.setattr(signals, "FEWEST", 500)
     values = np.sin(np.arange(20_000) / 50.0)
     values[12_345] = 99.0
     write_log_timeline(one({"time": np.arange(20_000) * 1e-3, "v": values}), tmp_path / "l.rrd")
@@ -253,6 +254,27 @@ def test_long_groups_keep_their_peaks(tmp_path: Path, monkeypatch: pytest.Monkey
     assert drawn.size <= 1002
     assert (drawn.max(), drawn.min()) == (99.0, values.min())
     assert "least and greatest" in found["/summary TextDocument:text"]["value"][0][0]
+
+
+def test_long_groups_keep_every_value_where_it_matters(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(signals, "BYTES", 60_000)
+    monkeypatch.setattr(signals, "FEWEST", 500)
+    rng = np.random.default_rng(5)
+    values = rng.normal(size=20_000)
+    events = (Event(t_start=7.0, kind="sensor_offset", source="truth"),)
+    write_log_timeline(
+        one({"time": np.arange(20_000) * 1e-3, "v": values}, events=events), tmp_path / "l.rrd"
+    )
+    found = frames(tmp_path / "l.rrd")
+    time, drawn = series(found, "/signals/g/v\\ \\[\\?\\] Scalars:scalars")
+    near = np.abs(time - 7.0) < 0.2995
+    assert drawn[near].ravel().tolist() == values[6701:7300].tolist()
+    assert (np.diff(time) >= 0).all()
+    assert (drawn.max(), drawn.min()) == (values.max(), values.min())
+    assert drawn.size * 24 < 1.1 * 60_000
+    assert "every value from 6." in found["/summary TextDocument:text"]["value"][0][0]
 
 
 def test_what_cannot_be_drawn_is_named(tmp_path: Path) -> None:

@@ -1,0 +1,148 @@
+"""What a timeline costs: its size, and the time to write it, to open it and to draw it.
+
+    python -m benchmarks.viewer [--rows 2000000] [--signals 40] [--part 1 2 3]
+
+Part 1: a log of 40 signals x 2 million rows (10 kHz, 200 s, noise on waves, an event) as its recording:
+bytes, seconds to write, to open, until the first tab's picture no longer changes, then those of all tabs;
+drawn by Mesa's software Vulkan driver.
+Part 2: bytes a value of a recording that keeps every value, by the number of signals that share a plot.
+Part 3: an hour of recipe `diesel_airpath` with its run: recording and report, bytes and seconds, beside
+the seconds that reading and diagnosing it take in the same process.
+
+Times are of the wall, one after the other, and depend on what else the machine does: read them as ratios.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import polars as pl
+
+from ingest.log import Event, Group, Log, Signal
+from viz.render import opened, settled, tabs, viewer
+from viz.timeline import write_log_timeline
+
+LIMITS = {"MB": 30.0, "s to open": 3.0, "s to draw": 20.0, "bytes a value": 9.0}
+
+
+def wide(rows: int, signals: int, rate: float = 10_000.0) -> Log:
+    """Noise on slow ramps, peaks of one sample, and an injected fault in the middle."""
+    rng = np.random.default_rng(1)
+    t = np.arange(rows) / rate
+    columns = {}
+    for i in range(signals):
+        values = np.sin(t / (3.0 + i)) + 0.05 * rng.standard_normal(rows)
+        values[rng.integers(0, rows, 3)] += 2.0
+        columns[f"x{i:02d}"] = values
+    event = Event(t_start=float(t[rows // 2]), kind="sensor_offset", source="truth", channel="x00")
+    return Log(
+        name="wide", groups={"fast": Group("fast", pl.DataFrame({"time": t, **columns}))}, events=(event,)
+    )
+
+
+def line(name: str, value: float, limit: float | None = None) -> None:
+    said = (
+        "" if limit is None else f"   wanted at most {limit:g}{'' if value <= limit else ': DOES NOT HOLD'}"
+    )
+    print(f"  {name:36} {value:10.3g}{said}", flush=True)
+
+
+def part_1(folder: Path, rows: int, signals: int) -> None:
+    print(f"1. {signals} signals x {rows} rows")
+    log, path = wide(rows, signals), folder / "wide.rrd"
+    began = time.perf_counter()
+    write_log_timeline(log, path)
+    line("s to write", time.perf_counter() - began)
+    line("MB", path.stat().st_size / 1e6, LIMITS["MB"])
+    with viewer() as client:
+        began = time.perf_counter()
+        opened(client, path)
+        line("s to open", time.perf_counter() - began, LIMITS["s to open"])
+        settled(client)
+        line("s to draw", time.perf_counter() - began, LIMITS["s to draw"])
+        began = time.perf_counter()
+        count = sum(bool(settled(client)) for _ in tabs(client))
+        line(f"s to draw the {count} tabs in turn", time.perf_counter() - began)
+
+
+def part_2(folder: Path) -> None:
+    rows = 20_000
+    print(f"2. every value kept, {rows} rows")
+    for shared in (1, 4, 8):
+        log, path = wide(rows, 24), folder / "full.rrd"
+        (group,) = log.groups.values()
+        units = {n: Signal(name=n, unit=f"u{i // shared}") for i, n in enumerate(group.signals)}
+        write_log_timeline(replace(log, groups={"fast": replace(group, signals=units)}), path)
+        size = path.stat().st_size / (rows * 24)
+        line(f"bytes a value, {shared} to a plot", size, LIMITS["bytes a value"])
+
+
+def part_3(folder: Path) -> None:
+    from ingest import read_log, write_log
+    from ingest.simulators.airpath import simulate_airpath
+    from ingest.simulators.faults import Fault
+    from pipeline import diagnose, fit, load_recipe
+    from pipeline.manifest import build_manifest
+    from pipeline.outputs import write_run
+    from pipeline.reporting import write_report
+
+    print("3. two WLTC drives of half an hour as one log, with a leak, recipe diesel_airpath")
+    drives = [simulate_airpath(cycle="wltc_3b", seed=s, name=f"d{s}") for s in (1, 2, 3)]
+    detector = fit(drives[:1], load_recipe("diesel_airpath"), drives[1:2])
+    first, second = (
+        simulate_airpath(cycle="wltc_3b", seed=s, faults=[Fault(name="boost_leak", magnitude=6.0)])
+        for s in (8, 9)
+    )
+    shift = first.span[1] + 0.02
+    groups = {
+        k: replace(g, frame=pl.concat([g.frame, second.groups[k].frame.with_columns(pl.col("time") + shift)]))
+        for k, g in first.groups.items()
+    }
+    path = write_log(replace(first, name="hour", groups=groups), folder / "hour.parquet")
+    diagnose(read_log(path), detector)  # compiles what is compiled
+    began = time.perf_counter()
+    log = read_log(path)
+    diagnosis = diagnose(log, detector)
+    diagnosed = time.perf_counter() - began
+    line("s to read and diagnose", diagnosed)
+    manifest = build_manifest(log, detector, "key", {})
+    seconds = {}
+    for timeline in (False, True):
+        began = time.perf_counter()
+        write_run(diagnosis, folder / "out" / "hour", manifest, timeline=timeline)
+        seconds[timeline] = time.perf_counter() - began
+    line("s to write the run without timeline", seconds[False])
+    line("s to write the timeline", seconds[True] - seconds[False])
+    line("MB of the timeline", (folder / "out/hour/timeline.rrd").stat().st_size / 1e6, LIMITS["MB"])
+    write_report(folder / "out/hour")
+    (folder / "out/hour/report.html").unlink()
+    began = time.perf_counter()
+    page = write_report(folder / "out/hour")
+    line("s to draw the report of it", time.perf_counter() - began)
+    line("kB of the report of it", page.stat().st_size / 1e3)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--rows", type=int, default=2_000_000)
+    parser.add_argument("--signals", type=int, default=40)
+    parser.add_argument("--part", type=int, nargs="+", default=[1, 2, 3], choices=(1, 2, 3))
+    args = parser.parse_args()
+    with TemporaryDirectory(prefix="dynoscope-") as name:
+        if 1 in args.part:
+            part_1(Path(name), args.rows, args.signals)
+        if 2 in args.part:
+            part_2(Path(name))
+        if 3 in args.part:
+            part_3(Path(name))
+
+
+if __name__ == "__main__":
+    main()
