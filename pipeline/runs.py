@@ -14,6 +14,7 @@ from ingest.errors import LogError
 from ingest.files import read_header, read_log
 from ingest.log import TIME, Group, Log, Signal
 from pipeline.outputs import ADDED, ANNOTATED, MANIFEST, MEASURED, SAMPLES, SHOWN, SIGNALS, VERDICT
+from pipeline.samples import thinned
 from stages.results import About, Diagnosis, OperatingMap, Verdict
 from viz.series import at_times
 
@@ -50,7 +51,8 @@ def read_manifest(folder: Path) -> dict[str, Any]:
 
 
 def read_run(folder: Path, *, values: bool = True) -> Diagnosis:
-    """The diagnosis of a run; without ``values`` the log has its signals, events and facts but no rows.
+    """The diagnosis of a run; without ``values`` the log has its signals, events and facts but no rows, and
+    of many samples there are some, evenly taken.
 
     Raises:
         LogError: the folder is not a run's, or a file in it is damaged.
@@ -58,7 +60,7 @@ def read_run(folder: Path, *, values: bool = True) -> Diagnosis:
     manifest = read_manifest(folder)
     try:
         verdict = Verdict.from_json(json.loads((folder / VERDICT).read_text(encoding="utf-8")))
-        samples = pl.read_parquet(folder / SAMPLES)
+        samples = pl.read_parquet(folder / SAMPLES) if values else thinned(folder / SAMPLES)[0]
         whole = (read_log if values else read_header)(folder / ANNOTATED)
         log = _as_read(whole, verdict.log)
         return Diagnosis(

@@ -9,14 +9,18 @@ from functools import cached_property
 from itertools import accumulate
 from pathlib import Path
 
+import numpy as np
 import polars as pl
 import pyarrow as pa
 import pyarrow.parquet as pq
+from numpy.typing import NDArray
 
 from ingest.log import TIME
 from ingest.readers.parquet import frame_of
+from stages.results import DETECTION
 
 ROWS = 1 << 16  # of a row group
+DRAWN = 20_000  # rows that are drawn of a log of any length
 
 
 class Stored:
@@ -51,6 +55,28 @@ class Stored:
         wanted = range(bisect_right(ends, offset), bisect_left(ends, end) + 1) if offset < end else range(0)
         before = ends[wanted[0] - 1] if wanted and wanted[0] else 0
         return frame_of(self.file.read_row_groups(list(wanted))).slice(offset - before, end - offset)
+
+
+def thinned(path: Path, most: int | None = None) -> tuple[pl.DataFrame, NDArray[np.int64]]:
+    """About ``most`` (else ``DRAWN``) of a file's rows, evenly taken, with those at which ``detection`` changes,
+    and their numbers; all of a short one."""
+    file = pq.ParquetFile(path)
+    every = max(1, -(-int(file.metadata.num_rows) // (most or DRAWN)))
+    kept, numbers, before, last = [], [], 0, None
+    for batch in file.iter_batches(ROWS):
+        frame = frame_of(pa.Table.from_batches([batch]))
+        rows = np.arange(before, before + frame.height)
+        keep = rows % every == 0
+        if DETECTION in frame.columns and frame.height:
+            states = frame[DETECTION].to_numpy()
+            keep |= np.append(last is not None and states[0] != last, states[1:] != states[:-1])
+            last = states[-1]
+        kept.append(frame.filter(pl.Series(keep)))
+        numbers.append(rows[keep])
+        before += frame.height
+    if not kept:
+        return pl.DataFrame(schema=pl.read_parquet_schema(path)), np.empty(0, np.int64)
+    return pl.concat(kept), np.concatenate(numbers)
 
 
 class Reader:

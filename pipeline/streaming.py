@@ -1,8 +1,8 @@
 """A log of any size in bounded memory: read twice in parts, diagnosed in the first pass, annotated in the
 second.
 
-What the stages say goes to the disk as it comes, and the verdict reads back only what it asks for. There is
-no timeline: a recording of such a log would be too large to look at.
+What the stages say goes to the disk as it comes, and the verdict reads back only what it asks for. The
+timeline shows such a log's signals as envelopes, and of many samples some, evenly taken.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import polars as pl
@@ -23,22 +23,26 @@ from ingest.log import Group, Log
 from ingest.quality import Quality
 from ingest.recording import recording
 from ingest.report import quality, with_quality
+from pipeline.describing import about
 from pipeline.detector import Detector
-from pipeline.diagnosing import corrected, judge, residual_units, samples_table
-from pipeline.outputs import ANNOTATED, SAMPLES, SIGNALS, VERDICT, annotated, to_json
-from pipeline.samples import Reader, Stored, Writer, writing
+from pipeline.diagnosing import corrected, judge, operating_map, residual_units, samples_table
+from pipeline.outputs import ANNOTATED, SAMPLES, SIGNALS, TIMELINE, VERDICT, annotated, to_json
+from pipeline.samples import Reader, Stored, Writer, thinned, writing
 from stages.monitor import SIGNALS as MONITORED
-from stages.results import Diagnosis
+from stages.results import Diagnosis, OperatingMap
 from stages.stage import ANALYSIS, run_stages
+
+if TYPE_CHECKING:
+    from viz.reduce import Reducer
 
 Parts = Callable[[], Iterable[Log]]
 
 
 def diagnose_parts(
-    parts: Parts, detector: Detector, name: str, facts: dict[str, Any], draft: Path
+    parts: Parts, detector: Detector, name: str, facts: dict[str, Any], draft: Path, *, timeline: bool = False
 ) -> tuple[Log, float]:
     """Diagnose a log whose ``parts``, in step (:func:`ingest.blocks.in_step`), can be had twice; samples,
-    verdict and annotated log go to the folder ``draft``.
+    verdict and annotated log, and with ``timeline`` an overview, go to the folder ``draft``.
 
     Returns:
         The log without its rows, called ``name`` and with ``facts`` added, and the seconds it lasts.
@@ -50,16 +54,22 @@ def diagnose_parts(
     seen = _Seen()
     units: dict[str, str] = {}
     signals: Group | None = None
+    planes: list[OperatingMap] = []
     with writing(draft / SAMPLES) as samples, writing(draft / SIGNALS) as monitored:
         for block in run_stages(detector.stages, seen.watch(named())):
             samples.add(samples_table(block.groups[ANALYSIS].frame))
             units = residual_units(block)
             signals = _added(block, monitored)
+            if timeline and (plane := operating_map(detector, block)):
+                planes.append(plane)
     log = replace(with_quality(seen.whole, seen.quality), name=name)
     verdict = judge(log, stored := Stored(draft / SAMPLES), detector, quality(log, seen.quality))
     (draft / VERDICT).write_text(to_json(verdict.to_json()), encoding="utf-8")
     made = Diagnosis(log=log, samples=stored.slice(0, 0), verdict=verdict, units=units, signals=signals)
-    _annotate(made, named(), draft, detector)
+    reducer = _reducer(seen.quality) if timeline else None
+    _annotate(made, named(), draft, detector, reducer)
+    if reducer:
+        _draw(replace(made, log=reducer.log(log), about=about(detector)), planes, draft)
     start, end = seen.quality.span or (0.0, 0.0)
     return log, end - start
 
@@ -98,9 +108,29 @@ def _added(block: Log, writer: Writer) -> Group | None:
     return replace(group, frame=group.frame.clear())
 
 
-def _annotate(made: Diagnosis, parts: Iterator[Log], draft: Path, detector: Detector) -> None:
+def _reducer(known: Quality) -> Reducer:
+    from viz.reduce import Reducer
+
+    return Reducer({name: clock.rows for name, clock in known.clocks.items()})
+
+
+def _draw(made: Diagnosis, planes: list[OperatingMap], draft: Path) -> None:
+    """The recording: the log reduced, and as many samples as can be looked at."""
+    from viz.timeline import write_timeline
+
+    samples, rows = thinned(draft / SAMPLES)
+    plane = None
+    if planes:
+        x, y = (np.concatenate([getattr(p, k) for p in planes])[rows] for k in ("x", "y"))
+        plane = replace(planes[-1], x=x, y=y)
+    write_timeline(replace(made, samples=samples, operating_map=plane, signals=None), draft / TIMELINE)
+
+
+def _annotate(
+    made: Diagnosis, parts: Iterator[Log], draft: Path, detector: Detector, reducer: Reducer | None
+) -> None:
     """``annotated.mcap``, part by part: the samples beside the rows of the same time, and the readings of an
-    isolated sensor corrected."""
+    isolated sensor corrected; ``reducer`` sees each part too."""
     part: Log | None = next(parts)
     samples, last = Reader(draft / SAMPLES), made.samples
     monitored = Reader(draft / SIGNALS) if made.signals else None
@@ -115,6 +145,8 @@ def _annotate(made: Diagnosis, parts: Iterator[Log], draft: Path, detector: Dete
             following = next(parts, None)
             rows = [float(g.time[-1]) for g in part.groups.values() if g.frame.height]
             end = np.inf if following is None else max(rows, default=-np.inf)
+            if reducer:
+                reducer.add(part)
             beside = replace(made, log=part, samples=samples.before(end))
             last = pl.concat([last, beside.samples])
             if monitored is not None and made.signals is not None:

@@ -29,6 +29,7 @@ from ingest.quality import Quality
 from ingest.remote import download, file_name, hidden
 from ingest.report import quality, with_quality
 from pipeline.cache import Cache
+from pipeline.describing import about
 from pipeline.detector import Detector, restore
 from pipeline.diagnosing import diagnose
 from pipeline.digest import digest
@@ -38,6 +39,7 @@ from pipeline.outputs import (
     ANNOTATED,
     MANIFEST,
     SAMPLES,
+    SHOWN,
     TIMELINE,
     VERDICT,
     put,
@@ -205,8 +207,9 @@ def _in_parts(task: Task, detector: Detector, key: str, facts: Facts, began: flo
         return in_step(read_blocks(task.path, task.name_map, content=facts["sha256"]), counts)
 
     with run_folder(task.folder) as draft:
-        log, duration = diagnose_parts(parts, detector, task.name, facts, draft)
-        manifest = {**build_manifest(log, detector, key, _times(began), duration), IN_PARTS: True}
+        log, duration = diagnose_parts(parts, detector, task.name, facts, draft, timeline=task.timeline)
+        made = build_manifest(log, detector, key, _times(began), duration)
+        manifest = {**made, IN_PARTS: True, SHOWN: {"about": about(detector).to_json()}}
         (draft / MANIFEST).write_text(to_json(manifest), encoding="utf-8")
     return manifest
 
@@ -227,7 +230,7 @@ def _row(task: Task, key: str) -> Row | None:
         manifest, verdict = (
             json.loads((task.folder / file).read_text(encoding="utf-8")) for file in (MANIFEST, VERDICT)
         )
-        timeline = [TIMELINE] if task.timeline and not manifest.get(IN_PARTS) else []
+        timeline = [TIMELINE] if task.timeline else []
         there = all((task.folder / file).is_file() for file in (SAMPLES, ANNOTATED, *timeline))
         return _complete(task, verdict, manifest) if there and manifest["key"] == key else None
     except (OSError, ValueError, TypeError, KeyError, AttributeError):  # damaged: run it again

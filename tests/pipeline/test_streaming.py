@@ -78,7 +78,7 @@ def test_the_result_does_not_depend_on_the_parts(
     assert json.loads((out / "manifest.json").read_text())["in_parts"] is True
     before = out.stat().st_ino
     run([path], detector, tmp_path / "out", Options(timeline=True))
-    assert out.stat().st_ino == before  # done, though there is no timeline
+    assert out.stat().st_ino == before  # done
 
 
 def two_rates(rows_of_a: int = 100) -> Log:
@@ -138,3 +138,51 @@ def test_a_log_without_samples(detector: Detector, tmp_path: Path, monkeypatch: 
     assert summary["status"].to_list() == ["failed", "failed"]
     assert "has no signal 'p_Int'" in summary["reason"][1]
     assert not [p for p in (tmp_path / "out").iterdir() if p.is_dir()]
+
+
+def test_a_log_in_parts_has_its_timeline(
+    faulty: Log, detector: Detector, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its signals keep their peaks, its residuals are those of the samples, and the map has its points."""
+    from rerun.chunk import RrdReader
+
+    monkeypatch.setattr("pipeline.task.WHOLE_BYTES", 0)
+    monkeypatch.setattr("pipeline.samples.DRAWN", 300)
+    monkeypatch.setattr("viz.reduce.ENVELOPE_POINTS", 2000)
+    path = in_parts_of(faulty, 3000, tmp_path / "faulty.parquet")
+    run([path], detector, tmp_path / "out", Options(timeline=True))
+    folder = tmp_path / "out" / "faulty"
+    drawn: dict[str, list[list[float]]] = {}
+    entities = set()
+    for chunk in RrdReader(folder / "timeline.rrd").stream():
+        batch = chunk.to_record_batch()
+        name = str(chunk.entity_path).replace("\\", "")
+        entities.add(name)
+        if not chunk.is_static and "Scalars:scalars" in batch.schema.names:
+            drawn.setdefault(name, []).extend(batch["Scalars:scalars"].to_pylist())
+    (pressures,) = (np.array(v) for k, v in drawn.items() if k.startswith("/signals/ecu/p_Bst"))
+    assert len(pressures) < 2600
+    for i, name in enumerate(("p_Bst", "p_Int")):
+        values = faulty.values(name)
+        assert (np.nanmin(pressures[:, i]), np.nanmax(pressures[:, i])) == (values.min(), values.max())
+    samples = pl.read_parquet(folder / "samples.parquet")
+    residual = np.array(drawn["/residuals/r_cyl/value"]).ravel()
+    assert 250 < residual.size < 320
+    assert set(residual[np.isfinite(residual)]) <= set(samples["residual.r_cyl"].to_list())
+    assert {"/map/now", "/model", "/alarm", "/cdf/lines"} <= entities
+    manifest = json.loads((folder / "manifest.json").read_text())
+    assert manifest["shown"]["about"]["models"]
+
+
+def test_thinned_samples_keep_every_change_of_the_alarm(tmp_path: Path) -> None:
+    from pipeline.samples import thinned
+
+    detection = np.zeros(100_000, dtype=np.int8)
+    detection[70_003:70_009] = 1
+    frame = pl.DataFrame({"time": np.arange(100_000.0), "detection": detection})
+    frame.write_parquet(tmp_path / "s.parquet")
+    some, rows = thinned(tmp_path / "s.parquet", 100)
+    assert some["time"].to_list() == rows.tolist()
+    assert {0, 1000, 70_003, 70_009} <= set(rows.tolist())
+    assert len(rows) < 110
+    assert thinned(tmp_path / "s.parquet", 10**6)[0].equals(frame)
