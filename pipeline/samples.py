@@ -58,8 +58,8 @@ class Stored:
 
 
 def thinned(path: Path, most: int | None = None) -> tuple[pl.DataFrame, NDArray[np.int64]]:
-    """About ``most`` (else ``DRAWN``) of a file's rows, evenly taken, with those at which ``detection`` changes,
-    and their numbers; all of a short one."""
+    """About ``most`` (else ``DRAWN``) of a file's rows, evenly taken, with those at which ``detection``
+    changes, and their numbers; all of a short one."""
     file = pq.ParquetFile(path)
     every = max(1, -(-int(file.metadata.num_rows) // (most or DRAWN)))
     kept, numbers, before, last = [], [], 0, None
