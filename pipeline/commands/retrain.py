@@ -21,7 +21,11 @@ ROLES = {
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("logs", nargs="+", metavar="LOG", help=ROLES["logs"])
+    parser.add_argument("logs", nargs="*", metavar="LOG", help=ROLES["logs"])
+    parser.add_argument(
+        "--from-run", type=Path, metavar="OUT",
+        help="train on the logs of this batch that are fault-free and of good quality; says which",
+    )  # fmt: skip
     parser.add_argument("--recipe", required=True, help="a built-in recipe or a path")
     parser.add_argument("--store", required=True, type=Path, metavar="DIR", help="where detectors are kept")
     for role in ("holdout", "calibrate"):
@@ -67,6 +71,8 @@ def run(args: argparse.Namespace) -> int:
     for role in ROLES:
         with problems:
             paths[role] = find_logs(getattr(args, role)) if getattr(args, role) else []
+    with problems:
+        paths["logs"] = _proposed(args, paths.get("logs", []))
     problems.raise_any()
     logs = read_all(paths, names, problems)
     training, held_out = (logs["logs"], logs["holdout"]) if logs["holdout"] else split(logs["logs"])
@@ -95,6 +101,28 @@ def run(args: argparse.Namespace) -> int:
     elif not args.json:
         talk(f"the champion is still {champion.key} ({because(found)})")
     return 0
+
+
+def _proposed(args: argparse.Namespace, given: list[Path]) -> list[Path]:
+    """The logs to train on: those given, and those that a batch proposes.
+
+    Raises:
+        LogError: there are none.
+    """
+    from ingest.errors import LogError
+    from pipeline.console import talk
+    from pipeline.proposing import propose
+
+    proposals = propose(args.from_run) if args.from_run else []
+    for p in proposals:
+        talk(f"{'take' if p.proposed else 'leave'} {p.log}: {p.why}")
+    found = [*given, *(Path(p.path) for p in proposals if p.proposed)]
+    if not found and not args.logs:
+        raise LogError(
+            f"no log of {args.from_run} is fit to train on" if args.from_run
+            else "no LOG to train on; name fault-free logs, or a batch with --from-run"
+        )  # fmt: skip
+    return found
 
 
 def read_all(paths: Mapping[str, list[Path]], names: Any, problems: Any) -> dict[str, list[Log]]:
