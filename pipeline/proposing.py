@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import polars as pl
 
 from ingest.errors import LogError
@@ -83,9 +84,9 @@ def _refused(folder: Path, row: dict[str, Any]) -> str:
     if bad := [n for n, q in known.items() if q.get("stuck") or (q.get("missing_share") or 0) > MISSING]:
         return f"quality of {', '.join(bad)}: stuck, or more than {100 * MISSING:g} % missing"
     samples = pl.read_parquet(folder / SAMPLES)
-    largest = (
-        float(samples[STATISTIC].fill_nan(None).max() or CLEAR) if STATISTIC in samples.columns else CLEAR
-    )  # type: ignore[arg-type]
+    if STATISTIC not in samples.columns:
+        return ""
+    largest = float(np.nanmax(samples[STATISTIC].fill_null(np.nan).to_numpy(), initial=-np.inf))
     return f"evidence comes within {-largest:.1f} of its threshold" if largest > CLEAR else ""
 
 
