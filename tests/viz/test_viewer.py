@@ -1,23 +1,27 @@
 from __future__ import annotations
 
+import io
 import os
 import signal
 import subprocess
 import sys
 import time
 import urllib.request
+from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import polars as pl
 import psutil  # type: ignore[import-untyped]
 import pytest
+from PIL import Image
 from rerun.chunk import RrdReader
 
 import viz
 from ingest.errors import DynoscopeError, LogError
 from ingest.log import Group, Log
 from viz.timeline import write_log_timeline
-from viz.viewer import free_port, holds_recordings, is_recording, timelines_in
+from viz.viewer import connected, free_port, holds_recordings, is_recording, start, timelines_in
 
 
 def small(name: str) -> Log:
@@ -137,6 +141,27 @@ viz.show(Path({str(out)!r}), web=True)
     assert set(listening) == {"127.0.0.1"}
     assert status == 0
     assert not any(p.is_running() for p in viewers)
+
+
+def test_a_browser_draws_it(log: Log, tmp_path: Path, watch: Callable[[str], bytes]) -> None:
+    """The web viewer, served as ``--web`` does it, in a browser: the curves' colour covers a good part."""
+    write_log_timeline(log, tmp_path / "drive.rrd")
+    page, data = free_port(9090), free_port(9876)
+    options = ["--serve-web", "--web-viewer-port", str(page), "--port", str(data)]
+    url = (
+        f"http://127.0.0.1:{page}/?url=rerun%2Bhttp%3A%2F%2F127.0.0.1%3A{data}%2Fproxy&hide_welcome_screen=1"
+    )
+    with start([*options, str(tmp_path / "drive.rrd")]) as viewer:
+        try:
+            connected(viewer, page)
+            deadline, blue = time.monotonic() + 90.0, 0
+            while blue < 3000 and time.monotonic() < deadline:
+                time.sleep(1.0)
+                pixels = np.asarray(Image.open(io.BytesIO(watch(url))).convert("RGB"), dtype=int)
+                blue = int((np.abs(pixels - (86, 180, 233)).max(axis=2) <= 40).sum())
+        finally:
+            viewer.terminate()
+    assert blue >= 3000
 
 
 def _fetch(url: str) -> bytes:
