@@ -121,6 +121,9 @@ def _scores(stages: Sequence[Stage]) -> dict[str, dict[str, float]]:
     scores: dict[str, dict[str, float]] = {}
     for stage in stages:
         if isinstance(stage, Relations) and stage.learned:
+            studies = {n: x for n in stage.relations if (x := stage.learned.get(f"{n}/study")) is not None}
+            if studies:
+                scores["map_nodes"] = {n: float(x[x[:, -1] == 1][0, 0]) for n, x in studies.items()}
             scores["rms"] = {name: _short(model.rms) for name, model in stage.models.items()}
         if isinstance(stage, Residuals) and stage.learned:
             overall = stage.learned["sigma"][:, -1]

@@ -29,6 +29,7 @@ from stages.normalise import SUFFIX
 from stages.partition import Growth, Partition
 from stages.select_inputs import SelectInputs
 from stages.stage import Arrays, Stage, add_columns, columns
+from stages.topology import study
 
 Values = Mapping[str, NDArray[np.float64]]
 FAR = 100.0  # as novel as anything
@@ -49,7 +50,9 @@ class Relation:
 
     ``otherwise``: the inputs where the training logs lack one of ``inputs``; ``where``: a formula, the
     relation holds where it is positive, elsewhere the output is 0 (a closed valve); ``weight``: of a training
-    sample for the parameters, besides the gate, but not for the domain.
+    sample for the parameters, besides the gate, but not for the domain. Of map ``sizes``, if any, and of how
+    regions hang together cross-validation chooses (:mod:`stages.topology`), in place of ``nodes``,
+    ``combination`` and ``neighbourhood``.
     """
 
     output: str
@@ -59,6 +62,7 @@ class Relation:
     weight: str = "1"
     unit: str = ""
     nodes: int = 16
+    sizes: tuple[int, ...] = ()
     samples_per_parameter: float = 6.0
     max_error: float = 0.0
     combination: Combination = "blended"
@@ -92,6 +96,26 @@ class Relation:
         """``inputs``, unless one is missing throughout and there are others to take."""
         missing = any(not np.isfinite(values[n + SUFFIX]).any() for n in self.inputs)
         return self.otherwise if missing and self.otherwise else self.inputs
+
+    def study(
+        self, values: Values, inputs: tuple[str, ...], weight: NDArray[np.float64]
+    ) -> NDArray[np.float64] | None:
+        """The study of map sizes as :meth:`stages.topology.Study.to_arrays`, if one is wanted."""
+        holds = self.holds(values)
+        if not self.sizes or not holds.any():
+            return None
+        output, _, own = (np.broadcast_to(f(values), holds.shape)[holds] for f in self.formulas)
+        S = regressors(values, inputs)[holds]
+        found = study(S, output, weight[holds], own, self.sizes, self.samples_per_parameter)
+        return found.to_arrays()["study"]
+
+    def settled(self, found: NDArray[np.float64] | None) -> Relation:
+        """The relation with the structure that a study has chosen."""
+        if found is None:
+            return self
+        nodes, blended, neighbourhood, *_ = found[found[:, -1] == 1][0]
+        combination: Combination = "blended" if blended else "hard"
+        return replace(self, nodes=int(nodes), combination=combination, neighbourhood=float(neighbourhood))
 
     def fit(
         self,
@@ -189,9 +213,14 @@ class Relations:
         for name, relation in self.relations.items():
             inputs = selected.get(name) or relation.chosen(values)
             try:
-                model = relation.fit(values, inputs, weight, partitions.get(name))
+                partition = partitions.get(name)
+                found = self.learned.get(f"{name}/study") if partition else None
+                found = relation.study(values, inputs, weight) if partition is None else found
+                model = relation.settled(found).fit(values, inputs, weight, partition)
             except LogError as error:
                 raise LogError(f"relation {name!r}: {error}") from None
+            if found is not None:
+                learned[f"{name}/study"] = found
             learned[f"{name}/inputs"] = np.array(inputs, dtype="U")
             if model is not None:
                 learned |= {f"{name}/{k}": v for k, v in model.to_arrays().items()}

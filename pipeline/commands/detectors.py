@@ -28,6 +28,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     made = {name: actions.add_parser(name, help=text, description=text) for name, text in said.items()}
     made["show"].add_argument("keys", nargs="+", metavar="KEY", help="a key or its beginning, or champion")
     two = "two keys, or one that is compared with the champion"
+    made["show"].add_argument(
+        "--plot", type=Path, metavar="FILE", help="draw the study of map sizes (.png, .svg), if there was one"
+    )
     made["compare"].add_argument("keys", nargs="+", metavar="KEY", help=two)
     made["compare"].add_argument("--on", nargs="+", metavar="LOG", help="fault-free logs neither has seen")
     made["compare"].add_argument("--details", action="store_true", help="also the rows of single regimes")
@@ -58,7 +61,10 @@ def run(args: argparse.Namespace) -> int:
     if args.action == "list":
         return _list(store, as_json=args.json)
     if args.action == "show":
-        return _show(store, [_key(store, k, args.recipe) for k in args.keys], as_json=args.json)
+        keys = [_key(store, k, args.recipe) for k in args.keys]
+        if args.plot:
+            _plot(store, keys[0], args.plot)
+        return _show(store, keys, as_json=args.json)
     if args.action == "compare":
         return _compare(store, args)
     if args.action == "promote":
@@ -120,6 +126,32 @@ def _show(store: Store, keys: list[str], *, as_json: bool) -> int:
     if as_json:
         print_json(shown)
     return 0
+
+
+def _plot(store: Store, key: str, path: Path) -> None:
+    """Draws the study of map sizes.
+
+    Raises:
+        StoreError: the detector has none, or the file's suffix is not that of a picture.
+    """
+    from ingest.errors import StoreError
+    from pipeline.files import aside
+    from stages.relations import Relations
+    from viz.topology import save_topology
+
+    relations = [s for s in store.load(key).stages if isinstance(s, Relations)]
+    studies = {
+        n: s.learned[f"{n}/study"] for s in relations for n in s.relations if f"{n}/study" in s.learned
+    }
+    if not studies:
+        raise StoreError(
+            f"detector {key} was fitted without a study of map sizes; "
+            "give the recipe's relations sizes = [4, 8, 12, 16]"
+        )
+    if path.suffix not in (".png", ".svg"):
+        raise StoreError(f"--plot {path}: expected a .png or .svg file")
+    with aside(path) as draft:
+        save_topology(studies, draft)
 
 
 def _compare(store: Store, args: argparse.Namespace) -> int:

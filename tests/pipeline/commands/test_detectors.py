@@ -9,8 +9,11 @@ from typing import Any
 
 import pytest
 
+from ingest.log import Log
+from pipeline import fit
 from pipeline.cli import main
 from pipeline.detector import Detector
+from pipeline.recipe import Recipe, build_recipe
 from pipeline.store import Store
 
 NAME = "diesel_airpath"
@@ -126,3 +129,22 @@ def test_what_is_wrong_is_said(two: Store, tmp_path: Path, capsys: pytest.Captur
     shutil.rmtree(two.folder)
     two.folder.mkdir()
     assert "name one with --recipe" in called(capsys, two.folder, "rollback", status=2)
+
+
+def test_the_study_of_map_sizes_as_a_plot(
+    healthy: list[Log], recipe: Recipe, two: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    definition = recipe.to_json()
+    stage = next(s for s in definition["stage"] if s["use"] == "relations")
+    stage["relations"]["f_Cyl"]["sizes"] = [1, 8]
+    detector = fit(healthy[:1], build_recipe(recipe.name, definition), healthy[1:])
+    assert detector.record["scores"]["map_nodes"]["f_Cyl"] in (1.0, 8.0)
+    two.keep(detector)
+    picture = tmp_path / "study.png"
+    called(capsys, two.folder, "show", detector.key, "--plot", str(picture))
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert main(["detectors", "show", detector.key, "--plot", "x.gif", "--store", str(two.folder)]) == 2
+    assert "expected a .png or .svg file" in capsys.readouterr().err
+    plain = next(k for k in (e["key"] for e in two.survey()) if k != detector.key)
+    said = called(capsys, two.folder, "show", plain, "--plot", str(picture), status=2)
+    assert "fitted without a study of map sizes" in said
