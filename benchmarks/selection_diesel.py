@@ -36,7 +36,7 @@ MAP = Path(__file__).resolve().parents[1] / "data" / "maps" / "liu_ice.toml"
 
 def run(bench: Path | None) -> None:
     """Part 8."""
-    logs = [simulate_airpath(cycle="wltc_3b", egr=True, seed=s) for s in SEEDS]
+    logs = [[simulate_airpath(cycle="wltc_3b", egr=True, seed=s)] for s in SEEDS]
     _table("simulated diesel", logs, OUTPUTS, INPUTS, raster_s=0.0)
     if bench is None:
         show(8, "bench data", "not here (--bench DIR)")
@@ -46,7 +46,7 @@ def run(bench: Path | None) -> None:
         inputs = ("T_Bst", "theta_Thr", "u_Wg", "n_Eng", "m_Fuel")
         _table(
             "petrol engine on a bench",
-            _quarters(read_log(petrol, load_map(MAP))),
+            _dealt(read_log(petrol, load_map(MAP))),
             OUTPUTS,
             inputs,
             raster_s=0.0,
@@ -55,21 +55,22 @@ def run(bench: Path | None) -> None:
     if engine.is_file():
         log = read_log(engine, NameMap(time=TimeMap(rate=10.0)))
         inputs = ("c01", "c02", "c03", "c04", "c05")  # speed, load, lambda, ignition angle, fuel cut-off
-        _table("emissions on a bench", _quarters(log), ("c10", "c12"), inputs, raster_s=0.0)  # NOx, exhaust T
+        _table("emissions on a bench", _dealt(log), ("c10", "c12"), inputs, raster_s=0.0)  # NOx, exhaust T
 
 
-def _quarters(log: Log) -> list[Log]:
-    """A log in four parts: the first trains."""
+def _dealt(log: Log) -> list[list[Log]]:
+    """A log in sixteen parts, dealt to four: the first trains. So each has seen slow and fast driving."""
     start, end = log.span
-    edges = np.linspace(start, end + 1e-6, 5)
-    return [log.between(a, b) for a, b in pairwise(edges)]
+    edges = np.linspace(start, end + 1e-6, 17)
+    parts = [log.between(a, b) for a, b in pairwise(edges)]
+    return [parts[i::4] for i in range(4)]
 
 
 def _table(
-    name: str, logs: Sequence[Log], outputs: Sequence[str], inputs: Sequence[str], raster_s: float
+    name: str, logs: Sequence[Sequence[Log]], outputs: Sequence[str], inputs: Sequence[str], raster_s: float
 ) -> None:
     names = (*outputs, *inputs)
-    data = [_stretches(log, names, raster_s) for log in logs]
+    data = [[z for part in log for z in _stretches(part, names, raster_s)] for log in logs]
     training = np.concatenate(data[0])
     space = Space.of((), inputs, na_max=0, nb_max=3, nk_max=3)
     whole = Structure({}, dict.fromkeys(inputs, 3), dict.fromkeys(inputs, 3))

@@ -229,7 +229,11 @@ def _matrices(drawn: Sequence[Section]) -> str:
 
 def _selections(chosen: Sequence[Chosen]) -> str:
     with style():
-        parts = [f"<h3>{escape(one.name)}</h3>{themed(selection_plot(one))}" for one in chosen]
+        parts = [
+            f"<h3>{escape(one.name)}: {escape(', '.join(one.taken)) or 'nothing'}</h3>"
+            f"{themed(selection_plot(one))}"
+            for one in chosen
+        ]
     return f"<h2>What the inputs were selected on</h2>\n{''.join(parts)}" if parts else ""
 
 

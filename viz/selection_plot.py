@@ -65,7 +65,7 @@ def _genes(ax: Any, one: Chosen) -> None:
     ax.plot(rank, one.scores, ".-", color=hex_of(SKY_BLUE))
     ax.plot(rank[:1], one.scores[:1], "o", color=hex_of(ORANGE))
     ax.set_xlabel("rank")
-    ax.set_title(f"{one.criterion} of the best {len(rank)} genes · {', '.join(one.taken) or 'nothing'}")
+    ax.set_title(f"{one.criterion} of the best {len(rank)} genes")
     ax.margins(x=0.03)
 
 

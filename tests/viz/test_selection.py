@@ -85,6 +85,7 @@ def test_a_run_has_the_tab_and_a_report_the_plot(diagnosis: Diagnosis, tmp_path:
     fleet = pl.DataFrame({"vehicle": [None]})
     page = report("out", [], [], fleet, (), (ONE,))
     assert "What the inputs were selected on" in page
+    assert "<h3>f/y: u(t-1), y(t-1)</h3>" in page
     assert "selected on" not in report("out", [], [], fleet)
 
 
@@ -92,4 +93,4 @@ def test_a_plot_of_its_own(tmp_path: Path) -> None:
     write_selection_plot(ONE, tmp_path / "one.svg")
     text = (tmp_path / "one.svg").read_text()
     assert "Correlation of the candidates" in text
-    assert "u(t-1), y(t-1)" in text
+    assert "of the best 3 genes" in text
