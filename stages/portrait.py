@@ -47,7 +47,8 @@ def portrait(
     left = _left(sample, row, list(space.columns(found.gene)))
     left = left / (left.std() or 1.0)
     density, _ = np.histogram(left, RESIDUAL_EDGES)
-    _, power = welch(left, nperseg=min(SEGMENT, len(left)), scaling="density")
+    length = min(SEGMENT, len(left))
+    _, power = welch(left, nperseg=length, return_onesided=False)
     history = found.history[:: max(1, -(-len(found.history) // POINTS))]
     return Chosen(
         name=name, output=output, criterion=selection.criterion, proven=found.optimal,
@@ -56,7 +57,7 @@ def portrait(
         genes=tuple(space.columns(gene) for gene, _ in found.best), scores=_short([s for _, s in found.best]),
         history=_short([*history, found.history[-1]]),
         residual=_short(density / (len(left) * np.diff(RESIDUAL_EDGES))),
-        spectrum=_short(0.5 * power[1:]),
+        spectrum=_short(power[1 : length // 2 + 1]),
     )  # fmt: skip
 
 

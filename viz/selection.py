@@ -10,7 +10,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from stages.results import RESIDUAL_EDGES, Chosen
-from viz.colours import BLUE, GREY, ORANGE, SKY_BLUE, VERMILLION, WHITE, Colour
+from viz.colours import BLUE, GREY, ORANGE, SKY_BLUE, VERMILLION, WHITE
 from viz.plane import HEIGHT, WIDTH, Axes, frame, text
 from viz.send import entity
 from viz.series import Array
@@ -29,23 +29,18 @@ def log_selections(rec: rr.RecordingStream, chosen: Sequence[Chosen]) -> None:
     for one in chosen:
         _log_correlation(rec, _path(one, CORRELATION), one)
         _log_genes(rec, _path(one, LANDSCAPE), one)
-        course = np.array(one.history)
-        steps = np.repeat(np.stack([np.arange(course.size), course], axis=1), 2, axis=0)
-        steps = np.stack([steps[1:, 0], steps[:-1, 1]], axis=1)
-        _log_line(rec, _path(one, COURSE), steps, "genes, generations or starts", one.criterion, SKY_BLUE)
+        _log_course(rec, _path(one, COURSE), one)
         edges, density = np.repeat(RESIDUAL_EDGES, 2)[1:-1], np.repeat(one.residual, 2)
         bars = np.stack([edges, density], axis=1)
-        _log_line(rec, _path(one, RESIDUAL), bars, "residual [sd]", "density", SKY_BLUE, normal(edges))
-        power, at = np.array(one.spectrum), np.linspace(0.0, 0.5, len(one.spectrum) + 1)[1:]
-        level = np.stack([at, power], axis=1)
-        _log_line(
-            rec, _path(one, SPECTRUM), level, "frequency [1/sample]", "power, white = 1", SKY_BLUE, at * 0 + 1
-        )
+        _log_line(rec, _path(one, RESIDUAL), bars, "residual [sd]", "density", normal(edges))
+        power = np.stack([frequencies(one), one.spectrum], axis=1)
+        words = "frequency [1/sample]", "power, white = 1"
+        _log_line(rec, _path(one, SPECTRUM), power, *words, np.ones(len(power)))
 
 
 def selection_tabs(chosen: Sequence[Chosen]) -> list[rrb.Container]:
     """A tab with a page for each selection; none without one."""
-    pages = [rrb.Grid(*_views(one), grid_columns=3, name=f"{one.name}") for one in chosen]
+    pages = [rrb.Grid(*_views(one), grid_columns=3, name=one.name) for one in chosen]
     return [rrb.Tabs(*pages, name="Selection")] if pages else []
 
 
@@ -60,6 +55,11 @@ def titles(one: Chosen) -> dict[str, str]:
         RESIDUAL: "What a model of the best gene leaves · grey: normal",
         SPECTRUM: "Its power spectrum · grey: white",
     }
+
+
+def frequencies(one: Chosen) -> Array:
+    """Of the spectrum, per sample."""
+    return np.linspace(0.0, 0.5, len(one.spectrum) + 1)[1:]
 
 
 def normal(x: Array) -> Array:
@@ -102,6 +102,14 @@ def _log_correlation(rec: rr.RecordingStream, path: str, one: Chosen) -> None:
             text(rec, f"{path}/names/{mine}", at, [names[i] for i in rows], colour_of)
 
 
+def _log_course(rec: rr.RecordingStream, path: str, one: Chosen) -> None:
+    """In steps."""
+    course = np.array(one.history)
+    corners = np.repeat(np.stack([np.arange(course.size), course], axis=1), 2, axis=0)
+    steps = np.stack([corners[1:, 0], corners[:-1, 1]], axis=1)
+    _log_line(rec, path, steps, "genes, generations or starts", one.criterion)
+
+
 def _log_genes(rec: rr.RecordingStream, path: str, one: Chosen) -> None:
     """The best genes' scores as a line, and below it which candidates each has."""
     scores = np.array(one.scores)
@@ -123,9 +131,8 @@ def _log_genes(rec: rr.RecordingStream, path: str, one: Chosen) -> None:
 
 
 def _log_line(
-    rec: rr.RecordingStream, path: str, points: Array, across: str, up: str, colour: Colour,
-    beside: Array | None = None,
-) -> None:  # fmt: skip
+    rec: rr.RecordingStream, path: str, points: Array, across: str, up: str, beside: Array | None = None
+) -> None:
     """A line in its frame, and a grey one ``beside`` it at the same places."""
     other = np.empty((0, 2)) if beside is None else np.stack([points[:, 0], beside], axis=1)
     axes = Axes.around(np.concatenate([points, other]))
@@ -133,5 +140,5 @@ def _log_line(
     if other.size:
         line = rr.LineStrips2D([axes.place(other)], colors=GREY, radii=rr.Radius.ui_points(1.0))
         rec.log(f"{path}/beside", line, static=True)
-    line = rr.LineStrips2D([axes.place(points)], colors=colour, radii=rr.Radius.ui_points(1.4))
+    line = rr.LineStrips2D([axes.place(points)], colors=SKY_BLUE, radii=rr.Radius.ui_points(1.4))
     rec.log(f"{path}/line", line, static=True)

@@ -9,7 +9,7 @@ import numpy as np
 
 from stages.results import RESIDUAL_EDGES, Chosen
 from viz.colours import BLUE, GREY, ORANGE, SKY_BLUE, VERMILLION, hex_of
-from viz.selection import COURSE, RESIDUAL, SPECTRUM, normal, titles
+from viz.selection import COURSE, RESIDUAL, SPECTRUM, frequencies, normal, titles
 from viz.svg import style
 
 INCHES = 9.6
@@ -35,7 +35,7 @@ def selection_plot(one: Chosen) -> Any:
     x = np.linspace(RESIDUAL_EDGES[0], RESIDUAL_EDGES[-1], 81)
     residual.plot(x, normal(x), color=grey)
     residual.set_xlabel("residual [sd]")
-    spectrum.plot(np.linspace(0.0, 0.5, len(one.spectrum) + 1)[1:], one.spectrum, color=blue)
+    spectrum.plot(frequencies(one), one.spectrum, color=blue)
     spectrum.axhline(1.0, color=grey)
     spectrum.set_ylim(0.0, None)
     spectrum.set_xlabel("frequency [1/sample]")

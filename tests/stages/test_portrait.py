@@ -61,6 +61,7 @@ def test_the_residual_is_white_and_normal_where_the_noise_is() -> None:
     assert share @ middle**2 == pytest.approx(1.0, abs=0.1)
     assert np.abs(one.residual - np.exp(-0.5 * middle**2) / np.sqrt(2 * np.pi)).max() < 0.07
     assert np.mean(one.spectrum) == pytest.approx(1.0, abs=0.05)
+    assert min(one.spectrum) > 0.5
     assert max(one.spectrum) < 2.0
 
 
