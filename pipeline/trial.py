@@ -18,7 +18,7 @@ from stages.injecting import inject, injectable
 from stages.isolate import Isolate
 from stages.relations import IN_DOMAIN, REGIME
 from stages.residuals import RESIDUAL, Residuals
-from stages.stage import ANALYSIS, RowWise, Stage, columns, transform
+from stages.stage import ANALYSIS, RowWise, Stage, add_columns, columns, transform
 
 Array = NDArray[np.float64]
 NONE = "none"
@@ -168,11 +168,21 @@ def _through(stages: Sequence[Stage], log: Log) -> tuple[Log, Array | None]:
     largest = None
     for stage in stages:
         if isinstance(stage, Isolate):
+            log = _possible(log)
             state, log = stage.step(stage.start(), log)
             largest = state.memory.largest
         else:
             log = transform([stage], log)
     return log, largest
+
+
+def _possible(log: Log) -> Log:
+    """Samples without a residual get no weight: no engine could read what was injected there, such as a
+    leak that is larger than the flow."""
+    values = columns(log)
+    residuals = [x for c, x in values.items() if c.startswith(RESIDUAL)]
+    there = np.asarray(np.isfinite(np.array(residuals)).all(axis=0))
+    return add_columns(log, {GATE: np.where(there, values.get(GATE, np.ones(len(there))), 0.0)}, {GATE: "1"})
 
 
 def _sums(block: Log, judged: Sequence[str], regimes: Array) -> tuple[Array, Array, float]:

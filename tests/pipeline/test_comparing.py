@@ -3,15 +3,17 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import polars as pl
 import pytest
 
 from ingest.errors import StoreError
 from ingest.log import Log
 from pipeline.comparing import Comparison, compare_detectors
 from pipeline.detector import Detector
-from pipeline.trial import Injection, injections
+from pipeline.trial import Injection, attempt, injections, prepare
 from stages.isolate import Isolate
 from stages.relations import Relations
+from stages.stage import ANALYSIS
 
 
 @pytest.fixture(scope="module")
@@ -95,3 +97,17 @@ def test_calibration_keeps_the_largest_evidence_of_each_log(detector: Detector) 
     np.testing.assert_array_equal(
         isolate.thresholds(isolate.learned["largest"]), isolate.learned["threshold"]
     )
+
+
+def test_samples_that_no_engine_could_give_do_not_count(detector: Detector, healthy: list[Log]) -> None:
+    """A residual without a value, as where an injected leak is larger than the flow."""
+    prepared = prepare(detector, healthy[1])
+    known, _ = attempt(detector, prepared, Injection())
+    rows = pl.int_range(pl.len()) % 7 == 0
+    holes = prepared.groups[ANALYSIS].frame.with_columns(W_HFM=pl.when(~rows).then("W_HFM"))
+    group = replace(prepared.groups[ANALYSIS], frame=holes)
+    found, _ = attempt(detector, replace(prepared, groups={ANALYSIS: group}), Injection())
+    assert found.named == "none"
+    assert found.mass.sum() == pytest.approx(6 / 7 * known.mass.sum(), rel=0.1)
+    assert found.largest is not None
+    assert np.isfinite(found.largest[:-1]).all()
