@@ -21,6 +21,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 import polars as pl
+import rerun as rr
 from PIL import Image
 
 from ingest.log import Event, Group, Log, Signal
@@ -31,8 +32,12 @@ from ingest.simulators.throttle import simulate_throttle
 from pipeline import fit, load_recipe, run
 from pipeline.batch import Options
 from pipeline.detector import Detector, unfitted_detector
+from pipeline.replaying import Step, replay
 from pipeline.reporting import write_report
-from viz.render import render
+from pipeline.viewing import to_show
+from viz.live import Live
+from viz.render import TOASTS_S, render, settled, viewer
+from viz.viewer import free_port
 
 ROOT = Path(__file__).parents[1]
 Made = tuple[Detector, list[Path], float]
@@ -150,6 +155,7 @@ def draw(name: str, make: Callable[[Path], Made], out: Path) -> None:
         pictures = render(recording, out / name, at=cursor)
         if len(logs) > 1:
             pictures += batch(folder / "out", out / "batch")
+            pictures.append(live(logs[0], detector, out / name / "live.png", cursor + 50.0))
     for picture in pictures:
         check_picture(picture)
     fault = summary["fault"][0]
@@ -157,15 +163,17 @@ def draw(name: str, make: Callable[[Path], Made], out: Path) -> None:
 
 
 def batch(folder: Path, out: Path) -> list[Path]:
-    """The report of a batch as a browser shows it, dark and light, where there is a browser."""
+    """The overview of a batch in the viewer, and its report in a browser, dark and light, if there is one."""
     page = write_report(folder)
     out.mkdir(parents=True, exist_ok=True)
+    overview, *_ = to_show([str(folder)], None, folder)
+    assert isinstance(overview, Path)
+    pictures = [path.rename(out / "overview.png") for path in render(overview, out)]
     shutil.copy(page, out / "report.html")
     browser = next((b for b in ("chromium", "chromium-browser", "google-chrome") if shutil.which(b)), None)
     if browser is None:
         print("no Chromium here: the report is not drawn", file=sys.stderr)
-        return []
-    pictures = []
+        return pictures
     for theme, value in (("dark", 0), ("light", 1)):
         pictures.append(out / f"report_{theme}.png")
         command = [
@@ -175,6 +183,32 @@ def batch(folder: Path, out: Path) -> list[Path]:
         ]  # fmt: skip
         subprocess.run(command, check=True, capture_output=True, timeout=120)
     return pictures
+
+
+def live(path: Path, detector: Detector, picture: Path, until: float) -> Path:
+    """A replay as it stands ``until`` seconds into the log, in a viewer that is open meanwhile."""
+    from ingest import read_log
+
+    log = read_log(path)
+    rec = rr.RecordingStream("dynoscope live", send_properties=False)
+    rec.set_log_time_enabled(False)
+    drawn: list[Live] = []
+
+    def step(one: Step) -> None:
+        if not drawn:
+            drawn.append(Live(rec, log, one.samples, one.plane))
+        if one.part is not None and one.part.span[1] <= until:
+            drawn[0].step(one.part, one.samples, one.plane)
+
+    port = free_port()
+    with viewer(port) as client:
+        rec.connect_grpc(f"rerun+http://127.0.0.1:{port}/proxy")
+        replay(log, detector, step)
+        rec.flush()
+        time.sleep(TOASTS_S)
+        picture.write_bytes(settled(client))
+        rec.disconnect()
+    return picture
 
 
 def check_picture(path: Path) -> None:

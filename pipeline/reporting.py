@@ -19,7 +19,7 @@ from pipeline.task import IN_PARTS
 from stages.results import Chosen
 
 REPORT = "report.html"
-DRAWN = 60
+DRAWN = 40
 """Logs that are drawn unless told otherwise: a batch of any size stays a page that a browser can hold."""
 Progress = Callable[[str], None]
 

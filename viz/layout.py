@@ -11,7 +11,7 @@ import rerun.blueprint as rrb
 
 from stages.results import Diagnosis, OperatingMap
 from viz.distributions import LEADS, bounds
-from viz.lanes import DIAGNOSED, FAULT_LANES, REGIME
+from viz.lanes import DIAGNOSED, FAULT_LANES, INJECTED, REGIME
 from viz.layers import FINDINGS, residual_layers
 from viz.model import MODEL
 from viz.monitoring import ERRORS, POLES, READINGS, TRUTH, Monitored
@@ -29,7 +29,6 @@ OVERVIEW_RESIDUALS = 3
 PANELS_PER_PAGE = 12
 LANES_BELOW = 6
 LANES_HEAD, LANE = 0.058, 0.042  # of a screen's height
-FAULTS = "What was injected, what was found"
 BACKGROUND = (16, 17, 20)
 _GLOBAL_VIEW = "view/5c0dca6a-e63f-9cf7-f657-2602590474cc"  # of the viewer, re_viewer_context; not public
 
@@ -102,11 +101,11 @@ def _overview(
     contents: LogContents, residuals: Sequence[Residual], lanes: Sequence[str], operating_map: bool
 ) -> rrb.Container:
     signals = [_signal_view(p) for p in overview_panels(contents.panels, OVERVIEW_PANELS)]
-    shown = [_residual_view(r) for r in residuals[:OVERVIEW_RESIDUALS]]
+    shown = [_residual_view(r, lanes) for r in residuals[:OVERVIEW_RESIDUALS]]
     left = rrb.Vertical(
         *signals,
         *shown,
-        *lane_view(FAULTS, lanes),
+        *fault_lanes(lanes),
         row_shares=heights([2.0] * len(signals) + [2.6] * len(shown), lanes),
     )
     right: list[rrb.View] = [rrb.TextDocumentView(origin="/summary", name="Summary")]
@@ -157,9 +156,9 @@ def _grid(views: Sequence[rrb.View], name: str | None = None) -> rrb.Container:
 def _residuals(residuals: Sequence[Residual], lanes: Sequence[str], diagnosis: Diagnosis) -> rrb.Container:
     monitors = any(c.startswith("indicator.") for c in diagnosis.samples.columns)
     name = "Indicators" if monitors else "Residuals"
-    plots = _grid([_residual_view(residual, legend=len(residuals) <= 3) for residual in residuals])
+    plots = _grid([_residual_view(residual, lanes, legend=len(residuals) <= 3) for residual in residuals])
     shown = [lane for lane in lanes if lane in (*FAULT_LANES, REGIME)]
-    return rrb.Vertical(plots, *lane_view(FAULTS, shown), row_shares=heights([1.0], shown), name=name)
+    return rrb.Vertical(plots, *fault_lanes(shown), row_shares=heights([1.0], shown), name=name)
 
 
 def _regimes(plane: OperatingMap) -> rrb.Container:
@@ -180,7 +179,7 @@ def _evidence(lanes: Sequence[str], diagnosis: Diagnosis) -> rrb.Container:
         words = "Evidence for each hypothesis: log-likelihood ratio to the fault-free case [nats]"
         views.append(plot(words, ["/evidence/leading"]))
     shares = heights([1.0] * len(views), shown)
-    return rrb.Vertical(*views, *lane_view(FAULTS, shown), row_shares=shares, name="Evidence")
+    return rrb.Vertical(*views, *fault_lanes(shown), row_shares=shares, name="Evidence")
 
 
 def _distributions(spread: Mapping[str, str], diagnosis: Diagnosis) -> rrb.Container:
@@ -210,7 +209,7 @@ def _compensation(monitored: Monitored, lanes: Sequence[str]) -> rrb.Container:
     parts: list[Any] = []
     if plots:
         shares = heights([1.0] * len(plots), shown)
-        parts.append(rrb.Vertical(*plots, *lane_view(FAULTS, shown), row_shares=shares))
+        parts.append(rrb.Vertical(*plots, *fault_lanes(shown), row_shares=shares))
     if monitored.poles:
         title = "Poles of plant and sensor · distance in decades · dark to bright: time · white: cursor"
         parts.append(_plane_view(POLES, title, *monitored.poles))
@@ -245,10 +244,11 @@ def _signal_view(panel: Panel) -> rrb.TimeSeriesView:
     return plot(panel.title, panel.entities, panel.range, legend=len(panel.signals) > 1)
 
 
-def _residual_view(residual: Residual, legend: bool = False) -> rrb.TimeSeriesView:
+def _residual_view(residual: Residual, lanes: Sequence[str], legend: bool = False) -> rrb.TimeSeriesView:
     low, high = residual.range
     scale = f"{residual.title} from {low:.2g} to {high:.2g}"
-    title = f"{scale} · grey ±3 sigma · red beyond · yellow: detected · white bar: injected"
+    known = " · white bar: injected" if INJECTED in lanes else ""
+    title = f"{scale} · grey ±3 sigma · red beyond · yellow: detected{known}"
     paths = [f"{residual.path}/**", f"{residual_layers(residual.name)}/**"]
     return plot(title, paths, residual.range, legend=legend)
 
@@ -264,6 +264,11 @@ def plot(
         axis_y=rrb.ScalarAxis(range=range_) if range_ else None,
         plot_legend=rrb.PlotLegend(corner="LeftTop", visible=legend),
     )
+
+
+def fault_lanes(paths: Sequence[str]) -> list[rrb.StateTimelineView]:
+    """The lanes of what was found, and of what was injected where that is known."""
+    return lane_view("What was injected, what was found" if INJECTED in paths else "What was found", paths)
 
 
 def lane_view(name: str, paths: Sequence[str]) -> list[rrb.StateTimelineView]:

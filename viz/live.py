@@ -17,7 +17,7 @@ from viz import send
 from viz.colours import EXCEEDANCE, GREY, SKY_BLUE, of_fault, of_index
 from viz.evidence import LEADING
 from viz.lanes import ALARM, DIAGNOSED, INJECTED, REGIME, diagnosed, held, regime_name, truth
-from viz.layout import FAULTS, KEY_SIGNALS, WholeRange, heights, lane_view, map_view, plot, signal_range
+from viz.layout import KEY_SIGNALS, WholeRange, fault_lanes, heights, map_view, plot, signal_range
 from viz.operating_map import MAP, log_cursor, log_regions
 from viz.plane import Axes, frame
 from viz.residuals import WIDTH, column, names
@@ -134,7 +134,7 @@ class Live:
         ]
         faults = self.faults[:LEADING]
         lanes = [ALARM, DIAGNOSED, *([INJECTED] if truth(self.log) else []), *([REGIME] if mapped else [])]
-        left = rrb.Vertical(*views, *lane_view(FAULTS, lanes), row_shares=heights([1.0] * len(views), lanes))
+        left = rrb.Vertical(*views, *fault_lanes(lanes), row_shares=heights([1.0] * len(views), lanes))
         right: list[rrb.View] = [rrb.TextDocumentView(origin="/summary", name="Now")]
         if mapped:
             right.append(map_view())
@@ -144,7 +144,11 @@ class Live:
         ):
             right.append(plot(title, [send.entity(root, f) for f in faults], scale))
         return WholeRange(
-            rrb.Horizontal(left, rrb.Vertical(*right), column_shares=[2, 1]),
+            rrb.Horizontal(
+                left,
+                rrb.Vertical(*right, row_shares=[3, 4, 3, 3] if mapped else [1, 1, 1]),
+                column_shares=[2, 1],
+            ),
             rrb.BlueprintPanel(state="collapsed"),
             rrb.SelectionPanel(state="collapsed"),
             rrb.TimePanel(state="collapsed", timeline=send.TIMELINE, play_state="following"),

@@ -84,8 +84,8 @@ def log_cursor(rec: rr.RecordingStream, time: Array, placed: Array) -> None:
     )
     if rows.size > 1:
         rec.send_columns(f"{MAP}/now", send.times(time[rows]), rr.Points2D.columns(positions=at))
-        strips = list(np.stack([at[:-1], at[1:]], axis=1))
-        rec.send_columns(f"{MAP}/trail", send.times(time[rows[1:]]), rr.LineStrips2D.columns(strips=strips))
+        columns = rr.LineStrips2D.columns(strips=send.segments(at))
+        rec.send_columns(f"{MAP}/trail", send.times(time[rows[1:]]), columns)
 
 
 def lattice(edges: NDArray[np.int64], count: int) -> Array:

@@ -52,8 +52,9 @@ def render(recording: Path, folder: Path, *, at: float | None = None) -> list[Pa
 
 
 @contextmanager
-def viewer() -> Iterator[ViewerClient]:
-    """A viewer without a screen, reachable from this machine only, and how to tell it what to do.
+def viewer(port: int | None = None) -> Iterator[ViewerClient]:
+    """A viewer without a screen, reachable from this machine only, on ``port`` if given, and how to tell it
+    what to do.
 
     Raises:
         DynoscopeError: there is no software driver, or the viewer does not start.
@@ -64,7 +65,7 @@ def viewer() -> Iterator[ViewerClient]:
             f"pictures need a software Vulkan driver, and there is none in {DRIVERS}; "
             "install it, on Debian: apt-get install libvulkan1 mesa-vulkan-drivers"
         )
-    port = free_port()
+    port = port or free_port()
     options = ["--headless", "--hide-welcome-screen", "--port", str(port)]
     with start(options, VK_ICD_FILENAMES=str(driver), RUST_LOG="off") as process:
         try:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import pyarrow as pa
 import rerun as rr
 from numpy.typing import NDArray
 
@@ -95,6 +96,16 @@ def band(
         part = slice(start, start + ROWS)
         columns = rr.Measurements.columns(values=centre[part], variances=half[part] ** 2)
         rec.send_columns(path, times(time[part]), columns)
+
+
+def segments(points: Array) -> pa.Array:
+    """The line from each of ``points``, shape (n, 2), to the next, as Rerun keeps strips: all at once, since
+    one by one takes most of a timeline's time."""
+    ends = np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
+    point = pa.list_(pa.field("item", pa.float32(), nullable=False), 2)
+    flat = pa.FixedSizeListArray.from_arrays(pa.array(ends.reshape(-1)), type=point)
+    offsets = pa.array(np.arange(0, 2 * len(ends) + 1, 2), pa.int32())
+    return pa.ListArray.from_arrays(offsets, flat, type=pa.list_(pa.field("item", point, nullable=False)))
 
 
 def states(

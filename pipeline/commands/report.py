@@ -11,8 +11,8 @@ HELP = "one self-contained HTML page over a batch: verdicts, plots, confusion wh
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("out", type=Path, metavar="OUT", help="the folder of a batch, or of one run in it")
     parser.add_argument(
-        "--drawn", type=int, default=60, metavar="N",
-        help="logs with plots of their own, those with a fault first; default 60",
+        "--drawn", type=int, default=40, metavar="N",
+        help="logs with plots of their own, those with a fault first; default 40",
     )  # fmt: skip
 
 

@@ -4,9 +4,11 @@ from itertools import combinations
 
 import numpy as np
 import pytest
+import rerun as rr
 
 from viz.operating_map import lattice, node_sizes
 from viz.plane import HEIGHT, WIDTH, Axes
+from viz.send import segments
 
 
 def grid(rows: int, columns: int) -> np.ndarray:
@@ -70,3 +72,11 @@ def test_axes_of_nothing() -> None:
 def test_areas_go_with_the_visits() -> None:
     sizes = node_sizes(np.array([0.0, 25.0, 100.0, np.nan]), 0.0, 10.0)
     assert sizes == pytest.approx([0.0, 5.0, 10.0, 0.0])
+
+
+def test_segments_are_what_rerun_makes_of_strips() -> None:
+    points = np.random.default_rng(1).random((7, 2))
+    strips = list(np.stack([points[:-1], points[1:]], axis=1))
+    expected = rr.components.LineStrip2DBatch(strips).as_arrow_array()
+    assert segments(points).equals(expected)
+    assert len(segments(points[:1])) == 0
