@@ -38,8 +38,9 @@ def test_links_lead_somewhere(page: Path) -> None:
     assert [t for t in targets if "://" not in t and not (page.parent / t).exists()] == []
 
 
-def test_commands_of_the_readme_are_commands() -> None:
-    (shell,) = blocks(README, "sh")
+@pytest.mark.parametrize("page", ["README.md", "docs/viewer.md"])
+def test_commands_of_a_page_are_commands(page: str) -> None:
+    (shell,) = blocks((ROOT / page).read_text(encoding="utf-8"), "sh")
     lines = [shlex.split(line, comments=True) for line in shell.splitlines()]
     called = [words[1:] for words in lines if words[0] == "dynoscope"]
     assert len(called) >= 6

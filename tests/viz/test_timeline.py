@@ -79,6 +79,18 @@ def test_rerun_finds_the_recording_sound(recording: Path) -> None:
     assert [p.name for p in recording.parent.iterdir()] == ["timeline.rrd"]
 
 
+def test_recordings_of_one_run_are_equal_by_content(
+    recording: Path, found: dict[str, pl.DataFrame], diagnosis: Diagnosis, tmp_path: Path
+) -> None:
+    write_timeline(diagnosis, tmp_path / "again.rrd")
+    again = frames(tmp_path / "again.rrd")
+    assert again.keys() == found.keys()
+    for key, frame in found.items():
+        assert str(again[key].to_dict(as_series=False)) == str(frame.to_dict(as_series=False)), key
+    ids = [RrdReader(path).recordings()[0].recording_id for path in (recording, tmp_path / "again.rrd")]
+    assert ids[0] == ids[1]
+
+
 def test_signals_keep_every_value_at_its_time(found: dict[str, pl.DataFrame], log: Log) -> None:
     time, values = series(found, "/signals/fast/p_Bst\\ \\[kPa\\] Scalars:scalars")
     kept = ~np.isnan(values).all(axis=1)
