@@ -50,8 +50,9 @@ def write_report(out: Path, drawn: int = DRAWN, progress: Progress = lambda word
             if (found := had.get((row["log"], manifest["key"]))) is None:
                 found = section(read_run(folder, values=not manifest.get(IN_PARTS)), manifest["key"])
             made.append(found)
-        except (LogError, OSError, ValueError, KeyError) as error:
-            notes.append(f"{row['log']} is not drawn: {error}")
+        except Exception as error:  # whatever it is, the others are not to suffer
+            reason = str(error) if isinstance(error, LogError) else f"{type(error).__name__}: {error}"
+            notes.append(f"{row['log']} is not drawn: {reason}")
         progress(f"drawn {row['log']}")
     if len(chosen) > drawn:
         notes.append(

@@ -175,7 +175,7 @@ def _distributions(ax: Any, samples: pl.DataFrame) -> None:
     ax.set_ylim(0, 1.02)
     ax.set_xlabel("z [sigma]")
     ax.set_title("share of samples below z" + (" · dotted: no alarm" if alarm.any() else ""))
-    if alarm.any():
+    if alarm.any() and ax.get_legend_handles_labels()[1]:
         ax.legend(loc="upper left", borderaxespad=0.2, handlelength=1.2)
 
 
@@ -208,6 +208,9 @@ def _regimes(ax: Any, samples: pl.DataFrame) -> None:
     when = "in alarm" if in_alarm(samples).any() else "over the log"
     if not regimes:
         shown, means = list(signature(samples)), np.array([*signature(samples).values()])[:, None]
+    if not shown:
+        ax.set_visible(False)
+        return
     matrix(ax, means, shown, [lanes.regime_name(r) for r in regimes] or [when], limit=6.0)
     ax.set_title(f"mean z {when} by regime")
 

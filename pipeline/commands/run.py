@@ -45,7 +45,6 @@ def run(args: argparse.Namespace) -> int:
     from pipeline.console import Problems, print_json, print_table, progress, talk
     from pipeline.detector import check_recipe, unfitted_detector
     from pipeline.recipe import load_recipe
-    from pipeline.reporting import write_report
     from pipeline.store import Store
 
     problems = Problems()
@@ -79,15 +78,29 @@ def run(args: argparse.Namespace) -> int:
         return 0
     with progress("diagnosing", len(paths)) as step:
         summary = batch.run(paths, detector, args.out, options, lambda log, row: step(describe(log, row)))
-    if not args.no_report and not url_of(args.out):
-        write_report(args.out)
+    drawn = args.no_report or bool(url_of(args.out)) or _reported(args.out)
     talk(f"results in {args.out}")
     rows = summary.to_dicts()
     if args.json:
         print_json(rows)
     else:
         print_summary(rows)
-    return 1 if any(row["status"] == "failed" for row in rows) else 0
+    return 1 if any(row["status"] == "failed" for row in rows) or not drawn else 0
+
+
+def _reported(out: Path) -> bool:
+    """Writes the report; whether that has worked. The runs are done either way."""
+    from ingest.errors import LogError
+    from pipeline.console import talk
+    from pipeline.reporting import write_report
+
+    talk(f"drawing {out / 'report.html'}")
+    try:
+        write_report(out)
+    except LogError as error:
+        talk(f"no report: {error}")
+        return False
+    return True
 
 
 def describe(log: str, row: dict[str, object]) -> str:

@@ -14,6 +14,7 @@ from pipeline.diagnosing import diagnose
 from pipeline.reporting import write_report
 from pipeline.runs import is_run, read_run, run_folders
 from pipeline.summary import SUMMARY_SCHEMA
+from stages.results import Diagnosis
 from viz.report import sections
 
 
@@ -113,3 +114,22 @@ def test_a_failed_log_only(tmp_path: Path) -> None:
         tmp_path / "summary.parquet"
     )
     assert "gone" in write_report(tmp_path).read_text("utf-8")
+
+
+def test_a_log_that_cannot_be_drawn_is_named_and_costs_the_others_nothing(
+    out: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import viz.report
+
+    real = viz.report.section
+
+    def section(diagnosis: Diagnosis, key: str) -> viz.report.Section:
+        if diagnosis.log.name == "faulty":
+            raise IndexError("of matplotlib's")
+        return real(diagnosis, key)
+
+    monkeypatch.setattr(viz.report, "section", section)
+    (out / "report.html").unlink(missing_ok=True)
+    text = write_report(out).read_text("utf-8")
+    assert "faulty is not drawn: IndexError: of matplotlib" in text
+    assert [s.log for s in sections(text)] == ["healthy2"]

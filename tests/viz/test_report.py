@@ -129,6 +129,17 @@ def test_what_a_section_says(drawn: Section, diagnosis: Diagnosis) -> None:
     assert drawn.html.count("<svg") == 2
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("rows", [0, 1, 40])
+@pytest.mark.parametrize(
+    "columns", ["^.*$", "^(time|detection)$", "^(time|detection|regime|residual.*|z.*|sigma.*)$"]
+)
+def test_little_is_drawn_too(diagnosis: Diagnosis, rows: int, columns: str) -> None:
+    samples = diagnosis.samples.select(columns).head(rows)
+    drawn = section(replace(diagnosis, samples=samples, operating_map=None), "key")
+    assert drawn.html.count("<svg") == 2
+
+
 @pytest.mark.parametrize(
     ("truth", "fault", "others", "said"),
     [
