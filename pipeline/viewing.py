@@ -17,7 +17,9 @@ from stages.results import Diagnosis
 
 Shown = Path | Log | Diagnosis
 OPENED = 20
-"""Recordings of a batch that are opened with its overview."""
+"""Recordings of a batch that are opened with its overview, those with a fault first."""
+LANES = 140
+"""Logs of a batch that have a lane in its overview, those with a fault first."""
 QUIET = ("none", "insufficient_evidence")
 
 
@@ -72,9 +74,13 @@ def _batch(out: Path, runs: Sequence[Path], path: Path) -> list[Shown]:
 
     frame = _summary(out)
     rows = {row["log"]: row for row in frame.to_dicts()}
-    logs = [Overviewed(row=row, samples=_told(out / name)) for name, row in rows.items()]
-    write_overview(out.resolve().name, logs, path)
     chosen = sorted(runs, key=lambda run: rows.get(run.name, {}).get("fault", "none") in QUIET)
+    laned = {run.name for run in chosen[:LANES]}
+    logs = [
+        Overviewed(row=row, samples=_told(out / name) if name in laned else None)
+        for name, row in rows.items()
+    ]
+    write_overview(out.resolve().name, logs, path, opened=min(len(chosen), OPENED))
     return [path, *(_run(run) for run in chosen[:OPENED])]
 
 

@@ -37,12 +37,13 @@ class Overviewed:
     samples: pl.DataFrame | None
 
 
-def write_overview(name: str, logs: Sequence[Overviewed], path: Path) -> None:
-    """The overview of a batch as a recording of its own; ``path`` appears whole or not at all."""
+def write_overview(name: str, logs: Sequence[Overviewed], path: Path, opened: int) -> None:
+    """The overview of a batch as a recording of its own, beside those of ``opened`` logs; ``path`` appears
+    whole or not at all."""
 
     def fill(rec: rr.RecordingStream) -> None:
         span, pages = _lanes(rec, logs)
-        send.markdown(rec, "/summary", overview_text(name, [one.row for one in logs]))
+        send.markdown(rec, "/summary", overview_text(name, [one.row for one in logs], opened))
         about = rrb.TextDocumentView(origin="/summary", name="Verdicts")
         tabs = rrb.Tabs(*pages) if len(pages) > 1 else pages[0] if pages else None
         layout = rrb.Horizontal(tabs, about, column_shares=[1, 1]) if tabs else rrb.Horizontal(about)
@@ -78,7 +79,7 @@ def _lanes(rec: rr.RecordingStream, logs: Sequence[Overviewed]) -> tuple[tuple[f
     return (0.0, end), list(views)
 
 
-def overview_text(name: str, rows: Sequence[Row]) -> str:
+def overview_text(name: str, rows: Sequence[Row], opened: int) -> str:
     """Counts and the table of verdicts (Markdown)."""
     faulty = [r for r in rows if r["fault"] not in (None, "none", "insufficient_evidence")]
     told = [judged(r) for r in rows if judged(r)]
@@ -96,7 +97,10 @@ def overview_text(name: str, rows: Sequence[Row]) -> str:
         for r in rows
     ]  # fmt: skip
     head = ("log", "verdict", "size", "detected", "against the truth")
-    return f"## {name}\n\n{' · '.join(counts)}\n\n{table(head, body)}\n\nOpen a log in the list on the left."
+    into = "Open a log in the list on the left."
+    if opened < sum(r["status"] != "failed" for r in rows):
+        into += f" {opened} are there, those with a fault first; any other with `dynoscope view {name}/LOG`."
+    return f"## {name}\n\n{' · '.join(counts)}\n\n{into}\n\n{table(head, body)}"
 
 
 def _size(row: Row) -> str:

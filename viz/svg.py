@@ -22,7 +22,8 @@ STYLE: Any = {
     "axes.axisbelow": True, "axes.spines.top": False, "axes.spines.right": False,
     "lines.linewidth": 1.0, "xtick.labelsize": 8.0, "ytick.labelsize": 8.0,
     "path.simplify": True, "path.simplify_threshold": 0.3, "legend.frameon": False, "axes.titlesize": 9.0,
-    "axes.titlelocation": "left", "axes.titleweight": "bold", "legend.fontsize": 8.0, "figure.dpi": 72.0,
+    "axes.titlelocation": "left", "axes.titleweight": "bold", "axes.titley": 1.0,
+    "legend.fontsize": 8.0, "figure.dpi": 72.0,
 }  # fmt: skip
 
 

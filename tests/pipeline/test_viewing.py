@@ -68,6 +68,20 @@ def test_a_batch_is_an_overview_and_its_runs(out: Path, tmp_path: Path) -> None:
     assert "| faulty | Air mass flow sensor reads wrong |" in words
 
 
+def test_of_many_logs_those_with_a_fault_come_first(
+    out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("pipeline.viewing.OPENED", 1)
+    monkeypatch.setattr("pipeline.viewing.LANES", 1)
+    overview, *opened = to_show([str(out)], None, tmp_path)
+    assert isinstance(overview, Path)
+    assert [one.log.name for one in opened if isinstance(one, Diagnosis)] == ["faulty"]
+    assert "/faulty" in entities(overview)
+    assert "/healthy2" not in entities(overview)
+    assert "1 are there, those with a fault first" in texts(overview)["/summary"]
+    assert "| healthy2 |" in texts(overview)["/summary"]
+
+
 def test_a_run_without_a_recording_is_made_one(out: Path, tmp_path: Path) -> None:
     (found,) = to_show([str(out / "faulty")], None, tmp_path)
     assert isinstance(found, Diagnosis)
