@@ -80,7 +80,7 @@ def _residual(ax: Any, diagnosis: Diagnosis, name: str) -> None:
     limits = view_range(value, centre, sigma)
     _shade(ax, diagnosis)
     at, rows = break_at_gaps(time, np.stack([centre - WIDTH * sigma, centre + WIDTH * sigma, value], axis=1))
-    band, lines = envelope(at, np.clip(rows[:, :2], *limits), POINTS // 3)
+    band, lines = envelope(at, np.clip(rows[:, :2], *limits), POINTS // 2)
     ax.fill_between(band, lines[:, 0], lines[:, 1], color=hex_of(GREY), alpha=0.35, linewidth=0, step="post")
     ax.plot(*envelope(at, rows[:, 2:], POINTS), color=hex_of(SKY_BLUE))
     over = np.where(np.abs(z) > WIDTH, value, np.nan)
@@ -155,7 +155,7 @@ def distribution_plot(diagnosis: Diagnosis) -> Any:
 
     figure = Figure(figsize=(INCHES, 2.5))
     axes = figure.subplots(1, 3, width_ratios=[3, 3, 4])
-    figure.subplots_adjust(left=0.06, right=0.985, top=0.9, bottom=0.2, wspace=0.36)
+    figure.subplots_adjust(left=0.075, right=0.985, top=0.9, bottom=0.2, wspace=0.36)
     _distributions(axes[0], diagnosis.samples)
     _against(axes[1], diagnosis)
     _regimes(axes[2], diagnosis.samples)
@@ -174,7 +174,8 @@ def _distributions(ax: Any, samples: pl.DataFrame) -> None:
     ax.set_xlim(-12, 12)
     ax.set_ylim(0, 1.02)
     ax.set_xlabel("z [sigma]")
-    ax.set_title("share of samples below z" + (" · dotted: no alarm" if alarm.any() else ""))
+    ax.set_ylabel("share below")
+    ax.set_title("distribution of z" + (" · dotted: no alarm" if alarm.any() else ""))
     if alarm.any() and ax.get_legend_handles_labels()[1]:
         ax.legend(loc="upper left", borderaxespad=0.2, handlelength=1.2)
 

@@ -25,7 +25,7 @@ from viz.summary import magnitude_text, summary
 from viz.svg import style, themed, variables
 from viz.tables import confusion, judged, table
 
-VERSION = 1
+VERSION = 2
 """Of a section's looks; another one is drawn anew."""
 QUIET = ("none", "insufficient_evidence")
 Row = Mapping[str, Any]
@@ -111,8 +111,8 @@ def report(
         _truth(rows),
         _matrices(drawn),
         _fleet(fleet),
-        _selections(selections),
         *(s.text() for s in drawn),
+        _selections(selections),
     ]
     place = files("viz").joinpath("page")
     page, sheet, script = (
