@@ -193,7 +193,9 @@ class Log:
     def values(self, signal: str) -> NDArray[np.float64]:
         """Values of a numeric signal as float64, shape (rows,), missing ones NaN."""
         series = self.group_of(signal).frame[signal]
-        return series.cast(pl.Float64).fill_null(float("nan")).to_numpy()
+        if series.dtype != pl.Float64:
+            series = series.cast(pl.Float64)
+        return series.to_numpy()  # nulls as NaN
 
     def between(self, start: float, end: float) -> Log:
         """The part with ``start <= time < end``, events and facts kept."""

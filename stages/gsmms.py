@@ -34,6 +34,7 @@ from stages.evaluation import Evaluation, evaluate
 from stages.partition import CHUNK, Growth, Partition, grow
 
 BLOCKS = 20
+WIDTH_ROWS = 40_000  # of more rows every n-th chooses the width
 Array = NDArray[np.float64]
 Combination = Literal["hard", "blended"]
 
@@ -187,14 +188,21 @@ def _fit_blended(nodes: Array, S: Array, y: Array, weight: Array) -> tuple[Array
     yy = float(weight @ target**2)
     apart = cdist(nodes, nodes) + np.diag(np.full(M, np.inf))
     spacing = float(apart.min(axis=1).mean())
-    best: tuple[float, Array, Array, Array, float] | None = None
+    step = max(1, -(-len(S) // WIDTH_ROWS))
+    some = [x[::step] for x in (S, target, weight)]
+    share = float(N / some[2].sum())
+    best: tuple[float, float, Array, Array] | None = None
     for factor in (0.7, 1.0, 1.4, 2.0):
-        G, h = _blended_gram(nodes, factor * spacing, S, target, weight)
-        cost, prior = shrinkage(G.sum(axis=0), h.sum(axis=0), yy, float(N), M)
+        G, h = _blended_gram(nodes, factor * spacing, *some)
+        known = float(some[2] @ some[1] ** 2)
+        cost, _ = shrinkage(share * G.sum(axis=0), share * h.sum(axis=0), share * known, float(N), M)
         if best is None or cost < best[0]:
-            best = (cost, G, h, prior, factor * spacing)
+            best = (cost, factor * spacing, G, h)
     assert best is not None
-    _, G, h, prior, width = best
+    _, width, G, h = best
+    if step > 1:
+        G, h = _blended_gram(nodes, width, S, target, weight)
+    _, prior = shrinkage(G.sum(axis=0), h.sum(axis=0), yy, float(N), M)
     theta, root = solve_blended(G, h, prior, M)
     theta = scale * theta
     theta[:, 0] += centre
