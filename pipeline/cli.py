@@ -15,7 +15,7 @@ from ingest.errors import DynoscopeError
 COMMANDS = (
     "demo", "simulate", "ingest", "inspect", "identify", "select", "fit", "run", "replay", "view", "recipe",
     "cache", "explain", "detectors", "report", "export",
-    "retrain", "replay-check", "drift",
+    "retrain", "replay-check", "drift", "adapt",
 )  # fmt: skip
 DONE, FAILED, WRONG = 0, 1, 2
 

@@ -17,14 +17,14 @@ import numpy as np
 from ingest.errors import LogError
 from ingest.log import Log
 from pipeline.detector import Detector, new_detector
-from pipeline.guarding import Finding, guard
+from pipeline.guarding import Finding, guard, thinned
 from pipeline.recipe import Recipe
 from pipeline.template import bound, common_signals
 from stages.continuing import gather
 from stages.isolate import Isolate
 from stages.poison import LEAST
 from stages.relations import Relations
-from stages.stage import ANALYSIS, Arrays, Learner, Stage, connected, transform
+from stages.stage import ANALYSIS, Arrays, Learner, RowWise, Stage, connected, transform
 from stages.verdict import usable_seconds
 
 FOLDS = 4
@@ -110,6 +110,8 @@ def suspicious(
     place = next((i for i, stage in enumerate(decide) if isinstance(stage, Isolate)), None)
     if place is None or len(blocks) < LEAST:
         return [None] * len(blocks)
+    if all(isinstance(stage, RowWise) for stage in known[prepared:]):
+        blocks = [thinned(block) for block in blocks]
     passed = [transform(known[prepared:], block) for block in blocks]
     between = learn(decide[:place], [(known, block) for block in passed])
     return guard(passed, [*known, *between, decide[place]])

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import polars as pl
 from numpy.typing import NDArray
 
 from ingest.errors import LogError
@@ -16,7 +17,7 @@ from stages.hypotheses import Hypothesis, Points
 from stages.isolate import Isolate
 from stages.poison import LEAST, Drives, suspicious
 from stages.relations import REGIME
-from stages.stage import Stage, columns
+from stages.stage import ANALYSIS, Stage, columns
 
 Array = NDArray[np.float64]
 MOST = 0.4  # share of suspicious logs above which nobody can say which are the healthy ones
@@ -55,16 +56,13 @@ def guard(blocks: Sequence[Log], stages: Sequence[Stage]) -> list[Finding | None
     if len(blocks) < LEAST or not isinstance(isolate, Isolate):
         return found
     points = isolate.connect(stages[:-1]).points
-    directions = _directions(isolate)
+    directions = directions_of(isolate)
     reduced = Points([h for _, h in directions], points.chain, points.residuals)
     given = np.array([isolate.offsets.get(r, {}).get("1", 0.0) for r in points.residuals])
     for s in suspicious(drive_means(blocks, reduced, given, isolate.correlation_s)):
         name, h = directions[s.fault]
-        ref = h.sizes[0]
-        size = ref * (np.sqrt(s.size) if h.unit == "mm" else s.size)  # flow goes with the hole's area
-        found[s.drive] = Finding(
-            log=blocks[s.drive].name, fault=name, size=float(size), unit=h.unit, evidence=s.T
-        )
+        size = size_of(h, s.size)
+        found[s.drive] = Finding(log=blocks[s.drive].name, fault=name, size=size, unit=h.unit, evidence=s.T)
     if (count := sum(f is not None for f in found)) > MOST * len(found):
         named = "\n".join(f"  - {f}" for f in found if f)
         raise LogError(
@@ -75,7 +73,7 @@ def guard(blocks: Sequence[Log], stages: Sequence[Stage]) -> list[Finding | None
     return found
 
 
-def _directions(isolate: Isolate) -> list[tuple[str, Hypothesis]]:
+def directions_of(isolate: Isolate) -> list[tuple[str, Hypothesis]]:
     """Every fault at one size to either side, a quarter up its grid."""
     found = []
     for name, h in isolate.hypotheses.items():
@@ -84,11 +82,19 @@ def _directions(isolate: Isolate) -> list[tuple[str, Hypothesis]]:
     return found
 
 
-def drive_means(blocks: Sequence[Log], points: Points, offset: Array, correlation_s: float) -> Drives:
+def size_of(direction: Hypothesis, times: float) -> float:
+    """The size of a fault whose effect is ``times`` that of the direction's own size."""
+    grown = np.sqrt(times) if direction.unit == "mm" else times  # flow goes with the hole's area
+    return float(direction.sizes[0] * grown)
+
+
+def drive_means(
+    blocks: Sequence[Log], points: Points, offset: Array, correlation_s: float, regions: int = 0
+) -> Drives:
     """Mean residuals by region and what each of ``points`` would shift them by; of at most ``ROWS`` steady
-    rows a log."""
+    rows a log. ``regions``: how many there are, if more than these logs visit."""
     parts = [_rows(block, points) for block in blocks]
-    M = max(int(regime.max(initial=0)) + 1 for _, regime, _ in parts)
+    M = regions or max(int(regime.max(initial=0)) + 1 for _, regime, _ in parts)
     R, F = len(points.residuals), points.count - 1
     mean, count = np.zeros((len(blocks), R, M)), np.zeros((len(blocks), R, M))
     shift, within = np.zeros((len(blocks), F, R, M)), [np.zeros((0, R))]
@@ -111,11 +117,24 @@ def _rows(block: Log, points: Points) -> tuple[Array, NDArray[np.int64], Array]:
     """Residuals at the points (rows, points, residuals), regimes, and the time in s that each row stands
     for."""
     values = columns(block)
+    rows, each = steady_rows(values)
+    wanted = {TIME, GATE, *points.needs} & values.keys()
+    e = points.evaluate({c: values[c][rows] for c in wanted}, values[TIME][rows] - values[TIME][0])[0]
+    return e.transpose(0, 2, 1), values[REGIME][rows].astype(np.int64), each
+
+
+def thinned(block: Log) -> Log:
+    """At most ``ROWS`` rows of a block, those near steady state if it has a gate."""
+    group = block.groups[ANALYSIS]
+    frame = group.frame.filter(pl.col(GATE) >= STEADY) if GATE in group.signals else group.frame
+    frame = frame.gather_every(max(1, -(-frame.height // ROWS)))
+    return replace(block, groups={ANALYSIS: replace(group, frame=frame)})
+
+
+def steady_rows(values: Mapping[str, Array]) -> tuple[NDArray[np.int64], Array]:
+    """At most ``ROWS`` rows near steady state, in a region, and the time in s that each stands for."""
     gate = np.nan_to_num(values.get(GATE, np.ones(len(values[TIME]))))
     rows = np.flatnonzero((gate >= STEADY) & (np.nan_to_num(values[REGIME], nan=-1) >= 0))
     step = max(1, -(-len(rows) // ROWS))
     dt = float(np.median(np.diff(values[TIME]))) if len(values[TIME]) > 1 else 1.0
-    rows = rows[::step]
-    wanted = {TIME, GATE, *points.needs} & values.keys()
-    e = points.evaluate({c: values[c][rows] for c in wanted}, values[TIME][rows] - values[TIME][0])[0]
-    return e.transpose(0, 2, 1), values[REGIME][rows].astype(np.int64), gate[rows] * dt * step
+    return rows[::step], gate[rows[::step]] * dt * step

@@ -32,6 +32,7 @@ from ingest.errors import RecipeError, did_you_mean
 from pipeline.digest import NOT_SETTINGS, settings
 from pipeline.template import filled
 from stages import STAGES
+from stages.adapt import Wear
 from stages.align import Align
 from stages.stage import Stage
 
@@ -48,6 +49,7 @@ class Recipe:
     channels: Mapping[str, str] = field(default_factory=dict)
     outputs: tuple[str, ...] = ()
     inputs: tuple[str, ...] = ()
+    wear: Mapping[str, Wear] = field(default_factory=dict)
     stages: tuple[Stage, ...]
     uses: tuple[str, ...]
     template: tuple[Mapping[str, Any], ...] = ()  # stages in terms of outputs and inputs
@@ -71,7 +73,8 @@ class Recipe:
         named = {k: list(v) for k in ("outputs", "inputs") if (v := getattr(self, k))}
         return {
             "title": self.title, "min_evidence_s": self.min_evidence_s, "channels": dict(self.channels),
-            **named, "stage": list(self.template) or stages,
+            **named, **({"wear": {k: settings(w) for k, w in self.wear.items()}} if self.wear else {}),
+            "stage": list(self.template) or stages,
         }  # fmt: skip
 
     def versions(self) -> dict[str, str]:

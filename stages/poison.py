@@ -69,10 +69,10 @@ def suspicious(drives: Drives, threshold: float = THRESHOLD, seed: int = 0) -> l
     N = len(drives)
     if N < LEAST:
         return []
-    spread = _spread(drives, np.arange(N))
+    spread = spread_of(drives, np.arange(N))
     members = _trimmed(drives, spread, np.random.default_rng(seed))
     for _ in range(20):
-        spread = _spread(drives, members)
+        spread = spread_of(drives, members)
         found = [_evidence(drives, spread, members[members != k], k) for k in range(N)]
         grown = np.flatnonzero([gain <= threshold for _, _, gain in found])
         if len(grown) < LEAST or np.array_equal(grown, members):
@@ -83,21 +83,21 @@ def suspicious(drives: Drives, threshold: float = THRESHOLD, seed: int = 0) -> l
 
 
 @dataclass(frozen=True, eq=False)
-class _Spread:
-    """``modes`` (residuals, regions, 2): shapes of what differs from drive to drive, a constant and the one
-    that the faults' shifts vary most by; their standard deviations (residuals, 2); and those of the lack of
-    fit (residuals,)."""
+class Spread:
+    """What healthy drives differ by. ``modes`` (residuals, regions, 2): shapes, a constant and the one that
+    the faults' shifts vary most by; their standard deviations (residuals, 2); and those of the lack of fit
+    (residuals,)."""
 
     modes: Array
     sd: Array
     lack: Array
 
 
-def _spread(drives: Drives, members: NDArray[np.int64]) -> _Spread:
+def spread_of(drives: Drives, members: NDArray[np.int64]) -> Spread:
     """Robust, over the members."""
     some = drives.but(members)
     R, modes = some.mean.shape[1], _modes(drives)
-    away = some.mean - _centre(some.mean, some.count)
+    away = some.mean - centre_of(some.mean, some.count)
     sd, lack = np.zeros((R, 2)), np.zeros(R)
     for r in range(R):
         level, var, left = _levels(away[:, r], some.count[:, r] / drives.noise[r] ** 2, modes[r])
@@ -106,7 +106,7 @@ def _spread(drives: Drives, members: NDArray[np.int64]) -> _Spread:
         noise = drives.noise[r] ** 2 / _typical(some.count[:, r][some.count[:, r] > 0])
         lack[r] = np.sqrt(max(excess - noise, 0.05 * excess))
     sd[:, 0] = np.maximum(sd[:, 0], drives.offset)
-    return _Spread(modes, np.maximum(sd, 1e-9), np.maximum(lack, 1e-9))
+    return Spread(modes, np.maximum(sd, 1e-9), np.maximum(lack, 1e-9))
 
 
 def _modes(drives: Drives) -> Array:
@@ -128,9 +128,9 @@ def _levels(away: Array, precision: Array, modes: Array) -> tuple[Array, Array, 
     """Each drive's coefficients of the modes (drives, 2), their variances, and what is left."""
     A = np.einsum("ma,km,mb->kab", modes, precision, modes)
     A = A + 1e-6 * np.trace(A, axis1=1, axis2=2)[:, None, None] * np.eye(2) + 1e-12 * np.eye(2)
-    inverse = np.linalg.inv(A)
-    level = np.einsum("kab,mb,km,km->ka", inverse, modes, precision, away)
-    return level, np.einsum("kaa->ka", inverse), away - level @ modes.T
+    cov = np.linalg.inv(A)
+    level = np.einsum("kab,mb,km,km->ka", cov, modes, precision, away)
+    return level, np.einsum("kaa->ka", cov), away - level @ modes.T
 
 
 def _typical(count: Array) -> float:
@@ -143,7 +143,7 @@ def _sd(x: Array, axis: int) -> Array:
     return np.asarray(1.4826 * np.nanmedian(np.abs(x - middle), axis=axis))
 
 
-def _centre(mean: Array, weight: Array) -> Array:
+def centre_of(mean: Array, weight: Array) -> Array:
     return np.asarray((mean * weight).sum(axis=0) / np.maximum(weight.sum(axis=0), 1e-12))
 
 
@@ -152,17 +152,17 @@ def _capped(count: Array, noise: Array, lack: Array) -> Array:
     return np.asarray(count / (1 + count * (lack / noise)[:, None] ** 2))
 
 
-def _trimmed(drives: Drives, spread: _Spread, rng: np.random.Generator) -> NDArray[np.int64]:
+def _trimmed(drives: Drives, spread: Spread, rng: np.random.Generator) -> NDArray[np.int64]:
     """The members of the least trimmed fit."""
     N, h = len(drives), max(LEAST - 1, round(SHARE * len(drives)))
     weight = _capped(drives.count, drives.noise, spread.lack)
     best, best_sum = np.arange(h), np.inf
-    inverse = [_inverse(drives.count[k], drives.noise, spread, np.zeros(1), 1.0) for k in range(N)]
+    weights = [inverse(drives.count[k], drives.noise, spread, np.zeros(1), 1.0) for k in range(N)]
     for _ in range(STARTS):
         members = rng.choice(N, h, replace=False)
         for _ in range(STEPS):
-            away = (drives.mean - _centre(drives.mean[members], weight[members])).reshape(N, -1)
-            distance = np.array([a @ V @ a for a, V in zip(away, inverse, strict=True)])
+            away = (drives.mean - centre_of(drives.mean[members], weight[members])).reshape(N, -1)
+            distance = np.array([a @ V @ a for a, V in zip(away, weights, strict=True)])
             closest = np.argsort(distance)[:h]
             if set(closest) == set(members):
                 break
@@ -172,7 +172,7 @@ def _trimmed(drives: Drives, spread: _Spread, rng: np.random.Generator) -> NDArr
     return best
 
 
-def _inverse(count: Array, noise: Array, spread: _Spread, centre_var: Array, more: float) -> Array:
+def inverse(count: Array, noise: Array, spread: Spread, centre_var: Array, more: float) -> Array:
     """V^-1 of a drive, (residuals x regions) squared; regions where it was not count nothing. The modes'
     variance counts ``more`` times."""
     R, M = count.shape
@@ -187,15 +187,15 @@ def _inverse(count: Array, noise: Array, spread: _Spread, centre_var: Array, mor
     return out
 
 
-def _evidence(drives: Drives, spread: _Spread, others: NDArray[np.int64], k: int) -> tuple[int, float, float]:
+def _evidence(drives: Drives, spread: Spread, others: NDArray[np.int64], k: int) -> tuple[int, float, float]:
     """The fault with the most evidence in drive k, its size and T, against models of the others."""
     weight = _capped(drives.count[others], drives.noise, spread.lack)
     total = weight.sum(axis=0)
     count = np.where(total > 0, drives.count[k], 0.0)
     centre_var = drives.noise[:, None] ** 2 / np.maximum(total, 1e-12)
-    V = _inverse(count, drives.noise, spread, centre_var, 1 + 1 / max(len(others), 1))
+    V = inverse(count, drives.noise, spread, centre_var, 1 + 1 / max(len(others), 1))
     S = drives.shift[k].reshape(drives.shift.shape[1], -1)
-    away = (drives.mean[k] - _centre(drives.mean[others], weight)).reshape(-1)
+    away = (drives.mean[k] - centre_of(drives.mean[others], weight)).reshape(-1)
     h, G = S @ V @ away, np.einsum("fi,ij,fj->f", S, V, S)
     gain = np.where((h > 0) & (G > 1e-12), h**2 / np.maximum(G, 1e-12), 0.0)
     f = int(np.argmax(gain))

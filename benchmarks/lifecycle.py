@@ -1,0 +1,255 @@
+"""The life of detectors, in figures.
+
+    python -m benchmarks.lifecycle [domain] [poison] [comparison] [speed] [bench] [--seeds N] [--hours H]
+                                   [--folder FOLDER]
+
+- domain: trained on UDDS, meets US06, before and after two US06 drives are added
+- poison: sets of 20 drives with 10 % and 30 % faulty ones, sensors with tolerances per drive
+- comparison: challengers that are as good, and such that are worse
+- speed: CPU seconds of a fit, and of going on from it with 10 % more
+- bench: the LiU-ICE logs in FOLDER (arXiv 2408.13269), fitted on the first half of the fault-free one,
+  retrained with its third quarter, compared on its last
+
+All parts but `bench` if none is named. Seeds from 60000 were not tuned on. Every line says how many drives or
+sets it counts. `benchmarks.adaptation` has wear and slow faults.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from ingest import read_log
+from ingest.log import Log
+from ingest.simulators.airpath import simulate_airpath
+from ingest.simulators.faults import Fault
+from pipeline.comparing import Comparison, compare_detectors
+from pipeline.detector import Detector
+from pipeline.diagnosing import diagnose
+from pipeline.fitting import fit, learn, sections, suspicious
+from pipeline.recipe import Recipe, build_recipe, load_recipe
+from pipeline.retraining import challenge, continue_champion
+from pipeline.template import bound, common_signals
+from stages.stage import transform
+
+SEED = 60000
+CYCLES = ("wltc_3b", "udds", "ftp75", "us06", "hwfet")
+FAULTS = (
+    ("maf_gain", 0.05), ("maf_gain", -0.05), ("boost_pressure_gain", 0.02), ("intake_pressure_gain", 0.02),
+    ("boost_leak", 6.0), ("intake_leak", 6.0),
+)  # fmt: skip
+
+
+def drive(
+    cycle: str, seed: int, fault: tuple[str, float] | None = None, onset: float | None = None, **more: object
+) -> Log:
+    faults = [Fault(name=fault[0], magnitude=fault[1], onset_s=onset)] if fault else []
+    return simulate_airpath(cycle=cycle, seed=seed, faults=faults, name=f"{cycle}_{seed}", **more)  # type: ignore[arg-type]
+
+
+def recipe_with(nodes: int) -> Recipe:
+    """The air path with smaller maps."""
+    recipe = load_recipe("diesel_airpath")
+    definition = recipe.to_json()
+    for stage in definition["stage"]:
+        for relation in stage.get("relations", {}).values():
+            relation["nodes"] = nodes
+    return build_recipe(recipe.name, definition)
+
+
+def domain(seeds: int) -> None:
+    print("\ntrained on 3 UDDS, calibrated on 3 more, tested on US06")
+    recipe = load_recipe("diesel_airpath")
+    training = [drive("udds", SEED + i) for i in range(3)]
+    calibrate = [drive("udds", SEED + 10 + i) for i in range(3)]
+    before = fit(training, recipe, calibrate)
+    added = [drive("us06", SEED + 20 + i) for i in range(2)]
+    after = challenge([*training, *added], recipe, before, calibrate)
+    warm = continue_champion(before, added)
+    for title, detector in (("UDDS alone", before), ("two US06 added", after), ("the same, warm", warm)):
+        healthy = [diagnose(drive("us06", SEED + 100 + i), detector) for i in range(4 * seeds)]
+        alarms = sum(d.verdict.fault not in ("none", "insufficient_evidence") for d in healthy)
+        inside = np.mean([float(d.samples["in_domain"].mean()) for d in healthy])  # type: ignore[arg-type]
+        print(
+            f"  {title}: healthy drives with an alarm {alarms}/{len(healthy)}, {100 * inside:.0f} % in domain"
+        )
+        for fault in FAULTS:
+            found = [diagnose(drive("us06", SEED + 200 + i, fault), detector).verdict for i in range(seeds)]
+            seen = sum(v.detected_s is not None for v in found)
+            right = sum(v.fault == fault[0] for v in found)
+            print(
+                f"    {fault[0]:22s}{fault[1]:+6g}  detected {seen}/{seeds}, named {right}/{seeds}",
+                flush=True,
+            )
+
+
+def poison(seeds: int) -> None:
+    print("\nsets of 20 drives, sensors with tolerances per drive (level 2)")
+    counts = {"sets": 0, "caught": 0, "exact": 0, "clean named": 0, "clean": 0}
+    recipe = load_recipe("diesel_airpath")
+    flagged = 0
+    for s in range(seeds):
+        base = SEED + 1000 + 20 * s
+        healthy = [drive(CYCLES[i % 5], base + i, tolerance=2) for i in range(20)]
+        flagged += bool(guarded(recipe, healthy))
+        rng = np.random.default_rng(base)
+        for fault in FAULTS:
+            here = dict.fromkeys(counts, 0)
+            for share in (2, 6):
+                which = {int(i) for i in rng.choice(20, share, replace=False)}
+                logs = [
+                    drive(CYCLES[i % 5], base + i, fault, 0.0, tolerance=2) if i in which else healthy[i]
+                    for i in range(20)
+                ]
+                found = guarded(recipe, logs)
+                here["sets"] += 1
+                here["caught"] += bool(found & which)
+                here["exact"] += found == which
+                here["clean named"] += len(found - which)
+                here["clean"] += 20 - share
+            print(f"  set {s}, {fault[0]} {fault[1]:+g}: exact {here['exact']}/{here['sets']}", flush=True)
+            counts = {k: counts[k] + here[k] for k in counts}
+    n = counts["sets"]
+    print(f"  caught {counts['caught']}/{n}, exact set named {counts['exact']}/{n}, clean logs named "
+          f"{counts['clean named']}/{counts['clean']}, clean sets flagged {flagged}/{seeds}")  # fmt: skip
+
+
+def guarded(recipe: Recipe, logs: Sequence[Log]) -> set[int]:
+    """The places of the logs that the guard of a fit finds suspicious."""
+    prepare, models, decide = sections(bound(recipe, common_signals(logs)).stages)
+    blocks = [transform(prepare, log) for log in logs]
+    fitted = learn(models, [(prepare, block) for block in blocks])
+    try:
+        found = suspicious([*prepare, *fitted], decide, blocks, len(prepare))
+    except ValueError:  # more than 40 %
+        return set(range(len(logs)))
+    return {i for i, f in enumerate(found) if f}
+
+
+def comparison(seeds: int) -> None:
+    print("\nchampion and challengers on the same held-out drives")
+    recipe = load_recipe("diesel_airpath")
+    judged = {"better": 0, "worse": 0, "rows": 0}
+    for s in range(seeds):
+        base = SEED + 5000 + 100 * s
+        calibrate = [drive(CYCLES[i % 5], base + i) for i in range(5)]
+        held_out = [drive(CYCLES[i % 5], base + 10 + i, duration_s=600) for i in range(6)]
+        champion = fit([drive(c, base + 20 + i) for i, c in enumerate(CYCLES[:3])], recipe, calibrate)
+        equal = fit([drive(c, base + 30 + i) for i, c in enumerate(CYCLES[:3])], recipe, calibrate)
+        found = compare_detectors(champion, equal, held_out)
+        rows = [r.interval.verdict for r in found.rows if r.interval]
+        judged = {k: judged[k] + sum(v == k for v in rows) for k in ("better", "worse")} | {
+            "rows": judged["rows"] + len(rows)
+        }
+        said(f"set {s}, as good", found)
+        bad = [
+            drive(c, base + 30 + i, ("maf_gain", 0.05) if i == 0 else None, 0.0)
+            for i, c in enumerate(CYCLES[:3])
+        ]
+        for title, challenger in (
+            (
+                "4 regions",
+                fit([drive(c, base + 20 + i) for i, c in enumerate(CYCLES[:3])], recipe_with(4), calibrate),
+            ),
+            (
+                "1 region",
+                fit([drive(c, base + 20 + i) for i, c in enumerate(CYCLES[:3])], recipe_with(1), calibrate),
+            ),
+            ("a third of the drives with maf +5 %, guard off", fit(bad, recipe, calibrate, trust=True)),
+        ):
+            said(f"set {s}, {title}", compare_detectors(champion, challenger, held_out))
+    print(
+        f"  rows of equal detectors: better {judged['better']}, worse {judged['worse']} of {judged['rows']}"
+    )
+
+
+def said(title: str, found: Comparison) -> None:
+    worse = [f"{r.what} {r.of}".strip() for r in found.rows if r.interval and r.interval.verdict == "worse"]
+    print(f"  {title}: {found.verdict}; worse rows {len(worse)}: {', '.join(worse[:4])}", flush=True)
+
+
+def speed(hours: float) -> None:
+    recipe = load_recipe("diesel_airpath")
+    distinct = [drive("wltc_3b", SEED + 8000 + i) for i in range(5)]
+    count = max(2, round(2 * hours))
+    logs = [replace(distinct[i % 5], name=f"log{i}") for i in range(count)]
+    more = [
+        replace(distinct[i % 5], name=f"new{i}", facts={"sha256": f"new{i}"})
+        for i in range(max(1, count // 10))
+    ]
+    calibrate = [drive("udds", SEED + 8100, duration_s=400)]
+    fit(logs[:1], recipe, calibrate)  # compiles
+    champion, first = timed(lambda: fit(logs, recipe, calibrate))
+    _, whole = timed(lambda: fit([*logs, *more], recipe, calibrate))
+    _, warm = timed(lambda: continue_champion(champion, more))
+    print(f"\n{count / 2:.0f} h at 50 Hz fitted in {first:.1f} CPU s (logs in memory)")
+    print(f"{len(more) / 2:g} h more: from scratch {whole:.1f} CPU s, warm {warm:.1f} CPU s, "
+          f"{whole / warm:.1f} times as fast")  # fmt: skip
+
+
+def timed(work):  # type: ignore[no-untyped-def]
+    began = time.process_time()
+    result = work()
+    return result, time.process_time() - began
+
+
+def bench(folder: Path) -> None:
+    mapping = Path("data/maps/liu_ice.toml")
+    logs = {p.stem.removeprefix("wltp_"): read_log(p, mapping) for p in sorted(folder.glob("wltp_*.csv"))}
+    healthy, recipe = logs.pop("NF"), load_recipe("si_airpath")
+    start, end = healthy.span
+    parts = np.linspace(start, end, 5)
+    last = np.linspace(parts[3], end, 4)
+    first = healthy.between(start, parts[2])
+    champion = fit([first], recipe)
+    second = healthy.between(parts[2], parts[3])
+    held_out = [replace(healthy.between(a, b), name=f"NF_{a:.0f}") for a, b in pairwise(last)]
+    scratch = challenge([first, second], recipe, champion)
+    warm = continue_champion(champion, [replace(second, facts={"sha256": "second"})])
+    print("\nLiU-ICE: fitted on the first half of the fault-free log, retrained with its third quarter")
+    for title, challenger in (("from scratch", scratch), ("warm", warm)):
+        found = compare_detectors(champion, challenger, held_out)
+        said(title, found)
+        for name, log in logs.items():
+            was, now = (evidence(d, log) for d in (champion, challenger))
+            print(
+                f"    {name:12s} largest evidence {was:10.0f} -> {now:10.0f} ({100 * (now / was - 1):+.0f} %)"
+            )
+
+
+def evidence(detector: Detector, log: Log) -> float:
+    """The largest that any fault reaches."""
+    samples = diagnose(log, detector).samples
+    return max(float(np.nanmax(samples[c].to_numpy())) for c in samples.columns if c.startswith("evidence."))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("parts", nargs="*", metavar="PART")
+    parser.add_argument(
+        "--seeds", type=int, default=10, help="drives of a kind, and a twentieth as many sets"
+    )
+    parser.add_argument("--hours", type=float, default=100.0)
+    parser.add_argument("--folder", type=Path)
+    args = parser.parse_args()
+    sets = max(1, args.seeds // 20)
+    work = {
+        "domain": lambda: domain(args.seeds), "poison": lambda: poison(sets),
+        "comparison": lambda: comparison(sets), "speed": lambda: speed(args.hours),
+    }  # fmt: skip
+    if args.folder:
+        work["bench"] = lambda: bench(args.folder)
+    if unknown := {*args.parts} - {*work}:
+        parser.error(f"no part {', '.join(sorted(unknown))}; `bench` needs --folder")
+    for part in args.parts or work:
+        work[part]()
+
+
+if __name__ == "__main__":
+    main()
