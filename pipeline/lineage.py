@@ -110,4 +110,6 @@ def _of_detector(path: Path) -> dict[str, Any]:
     if not path.with_suffix(".npz").is_file():
         raise StoreError(f"detector {path.stem} has no arrays ({path.stem}.npz); fit it again")
     known = ("key", "recipe", "created", "training", "calibration", "versions", "notes")
-    return {"file": str(path), "what": "a detector", **{k: record[k] for k in known}}
+    origin = ("challenges", "how", "calibrated_from", "false_alarms", "left_out")  # where they apply
+    told = {k: record[k] for k in (*known, *(k for k in origin if k in record))}
+    return {"file": str(path), "what": "a detector", **told}

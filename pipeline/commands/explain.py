@@ -38,6 +38,12 @@ def lines(found: Mapping[str, Any]) -> Iterator[str]:
         yield f"  <- {entry['log']}: {entry['manifest']} (key {entry['key']})"
     if "training" in found:
         yield f"  recipe {found['recipe']}, fitted {found['created']}, key {found['key']}"
+        if "challenges" in found:
+            yield f"  challenges {found['challenges']}, {found['how']}"
+        if "calibrated_from" in found:
+            rate = found.get("false_alarms", {}).get("per_h")
+            wanted = "" if rate is None else f", for {rate:g} false alarms per hour"
+            yield f"  models of {found['calibrated_from']}, calibrated anew{wanted}"
         yield from _log_lines(found)
 
 

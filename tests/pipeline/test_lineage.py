@@ -9,10 +9,12 @@ from pathlib import Path
 import pytest
 
 from ingest.errors import LogError, StoreError
+from ingest.log import Log
 from pipeline import run
 from pipeline.batch import Options
 from pipeline.cli import main
-from pipeline.detector import Detector
+from pipeline.commands.explain import lines
+from pipeline.detector import Detector, new_detector, save_detector
 from pipeline.lineage import explain
 from pipeline.store import Store
 
@@ -84,3 +86,16 @@ def test_command(out: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["explain", str(out / "drive"), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["log"]["now"] == "unchanged"
     assert main(["explain", str(out / "nothing")]) == 2
+
+
+def test_where_a_challenger_comes_from(detector: Detector, healthy: list[Log], tmp_path: Path) -> None:
+    origin = {"challenges": "abc", "how": "from scratch"}
+    challenger = new_detector(detector.recipe, detector.stages, healthy[:1], healthy[1:], [], origin)
+    save_detector(challenger, tmp_path)
+    said = "\n".join(lines(explain(tmp_path / f"{challenger.key}.json")))
+    assert "challenges abc, from scratch" in said
+    rate = {"calibrated_from": "xyz", "false_alarms": {"per_h": 0.5}}
+    calibrated = new_detector(detector.recipe, detector.stages, healthy[:1], healthy[1:], [], rate)
+    save_detector(calibrated, tmp_path)
+    said = "\n".join(lines(explain(tmp_path / f"{calibrated.key}.json")))
+    assert "models of xyz, calibrated anew, for 0.5 false alarms per hour" in said
