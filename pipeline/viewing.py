@@ -11,8 +11,9 @@ import polars as pl
 from ingest.errors import LogError
 from ingest.files import find_logs, read_log
 from ingest.log import Log
-from pipeline.runs import from_annotated, is_run, read_run, run_folders
+from pipeline.runs import from_annotated, is_run, read_manifest, read_run, run_folders
 from pipeline.summary import SUMMARY, SUMMARY_SCHEMA, summary_frame
+from pipeline.task import IN_PARTS
 from stages.results import Diagnosis
 
 Shown = Path | Log | Diagnosis
@@ -61,11 +62,22 @@ def _opened(log: Log) -> Log | Diagnosis:
 
 
 def _run(folder: Path) -> Shown:
-    """A run's recording; where it has none, the diagnosis to make one of."""
+    """A run's recording; where it has none, the diagnosis to make one of.
+
+    Raises:
+        LogError: it has none and its log does not fit into memory, or it is damaged.
+    """
     from viz.viewer import TIMELINE_FILE
 
     recording = folder / TIMELINE_FILE
-    return recording if recording.is_file() else read_run(folder)
+    if recording.is_file():
+        return recording
+    if read_manifest(folder).get(IN_PARTS):
+        raise LogError(
+            f"{folder} has no {TIMELINE_FILE}, and its log is too large to make one of what is there; run it "
+            "again without --no-timeline"
+        )
+    return read_run(folder)
 
 
 def _batch(out: Path, runs: Sequence[Path], path: Path) -> list[Shown]:

@@ -47,7 +47,7 @@ def timeline_plot(diagnosis: Diagnosis) -> Any:
 
     samples = diagnosis.samples
     shown = telling(samples)[:RESIDUALS]
-    signal = next((n for n in KEY_SIGNALS if n in diagnosis.log.signals), None)
+    signal = next((n for n in KEY_SIGNALS if _is_there(diagnosis, n)), None)
     heights = [0.7] * bool(signal) + [1.0] * len(shown) + [0.8, 0.62]
     figure = Figure(figsize=(INCHES, 1.15 * sum(heights) + 0.5))
     axes = figure.subplots(len(heights), sharex=True, height_ratios=heights, squeeze=False)[:, 0].tolist()
@@ -61,6 +61,11 @@ def timeline_plot(diagnosis: Diagnosis) -> Any:
     _lanes(next(rest), diagnosis)
     axes[-1].set_xlabel("time [s]")
     return figure
+
+
+def _is_there(diagnosis: Diagnosis, name: str) -> bool:
+    log = diagnosis.log
+    return name in log.signals and log.group_of(name).frame.height > 0
 
 
 def _signal(ax: Any, diagnosis: Diagnosis, name: str) -> None:
@@ -132,10 +137,10 @@ def _lanes(ax: Any, diagnosis: Diagnosis) -> None:
 
 
 def _injected(diagnosis: Diagnosis) -> list[tuple[float, float, Colour]]:
-    events = lanes.truth(diagnosis.log)
-    if not events:
+    events, known = lanes.truth(diagnosis.log), column(diagnosis.samples, "time")
+    if not events or not known.size:
         return []
-    time, kinds = lanes.held(events, *diagnosis.log.span)
+    time, kinds = lanes.held(events, float(known[0]), float(known[-1]))
     return [
         (float(a), float(b), of_fault(kind or "none"))
         for a, b, kind in zip(time[:-1], time[1:], kinds[:-1], strict=True)

@@ -116,6 +116,14 @@ def test_a_failed_log_only(tmp_path: Path) -> None:
     assert "gone" in write_report(tmp_path).read_text("utf-8")
 
 
+def test_a_log_without_its_rows_is_drawn(out: Path) -> None:
+    from viz.report import section
+
+    drawn = section(read_run(out / "faulty", values=False), "key")
+    assert drawn.html.count("<svg") == 2
+    assert drawn.signature == section(read_run(out / "faulty"), "key").signature
+
+
 def test_a_log_that_cannot_be_drawn_is_named_and_costs_the_others_nothing(
     out: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import shutil
 import subprocess
 from pathlib import Path
 
@@ -87,6 +89,14 @@ def test_a_run_without_a_recording_is_made_one(out: Path, tmp_path: Path) -> Non
     assert isinstance(found, Diagnosis)
     assert found.operating_map is not None
     assert found.about is not None
+
+
+def test_of_a_log_in_parts_the_recording_must_be_there(out: Path, tmp_path: Path) -> None:
+    copy = shutil.copytree(out / "faulty", tmp_path / "faulty")
+    manifest = json.loads((copy / "manifest.json").read_text())
+    (copy / "manifest.json").write_text(json.dumps({**manifest, "in_parts": True}))
+    with pytest.raises(LogError, match=r"too large.*without --no-timeline"):
+        to_show([str(copy)], None, tmp_path)
 
 
 def test_an_annotated_log_is_shown_with_what_was_found(out: Path, tmp_path: Path) -> None:
