@@ -14,6 +14,7 @@ STAGES = {
     "relations": "stages.relations:Relations",
     "residuals": "stages.residuals:Residuals",
     "isolate": "stages.isolate:Isolate",
+    "pairs": "stages.pairs:Pairs",
     "detect": "stages.detect:Detect",
     "signatures": "stages.signatures:Signatures",
     "denoise": "stages.denoise:Denoise",

@@ -242,6 +242,7 @@ def decide(
                         memory.kept[p] = L[p] - L[0] if stepped else 0.0
             if evidence[f] > memory.evidence[f]:
                 memory.evidence[f], memory.size[f], memory.size_sd[f] = evidence[f], size[f], size_sd[f]
+        memory.evidence[F] = max(memory.evidence[F], evidence[F] - settings.penalty)
     holds = over or clocks[EVIDENCE] < 0.0 if clocks[ALARM] == 1 else memory.statistic[0] > 0
     clocks[HELD] = clocks[HELD] + min(elapsed, 2.0 * settings.decide) if holds else 0.0
     clocks[SINCE] += elapsed
@@ -284,7 +285,7 @@ def follow(
     """The recursion over the rows; changes ``memory`` in place."""
     N, F = len(rows.dt), grid.points.shape[0]
     statistic, detection = np.empty(N), np.zeros(N, dtype=np.int8)
-    out_evidence, out_p = np.empty((N, F)), np.empty((N, F + 1))
+    out_evidence, out_p = np.empty((N, F + 1)), np.empty((N, F + 1))
     out_size, out_sd, out_least = np.empty((N, F)), np.empty((N, F)), np.empty((N, F))
     clocks, row = memory.clocks, 0
     for k in range(N):
@@ -303,6 +304,6 @@ def follow(
             else:
                 memory.p[:] = 0.0
         statistic[k], detection[k] = memory.statistic[0], np.int8(clocks[ALARM])
-        out_evidence[k], out_p[k] = memory.evidence[:F], memory.p
+        out_evidence[k], out_p[k] = memory.evidence, memory.p
         out_size[k], out_sd[k], out_least[k] = memory.size, memory.size_sd, memory.detectable
     return statistic, detection, out_evidence, out_p, out_size, out_sd, out_least

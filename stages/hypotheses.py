@@ -8,7 +8,7 @@ they nor their domain are asked for more than they know.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -138,31 +138,37 @@ class Points:
         e, sigma, doubt, novelty = (np.empty((n, R, H)) for _ in range(4))
         step = max(1, CHUNK // H)
         for k in range(0, n, step):
-            rows, start = slice(k, k + step), 0
-            for size, computed in self._computed({c: x[rows] for c, x in values.items()}, elapsed[rows]):
-                points = slice(start, start + size)
-                start += size
-                for i, r in enumerate(self.residuals):
-                    e[rows, i, points] = computed[RESIDUAL + r].T
-                    sigma[rows, i, points] = computed[SIGMA + r].T
-                    doubt[rows, i, points] = computed[MODEL_SD + r].T
-                    novelty[rows, i, points] = computed[UNFAMILIAR + r].T
+            rows = slice(k, k + step)
+            base = self.as_it_is({c: x[rows] for c, x in values.items()}, elapsed[rows])
+            place, computed = slice(0, 1), base
+            for i in range(len(self.hypotheses) + 1):
+                if i > 0:
+                    sizes = np.array(self.hypotheses[i - 1].sizes)
+                    place = slice(place.stop, place.stop + len(sizes))
+                    computed = self.undone(base, [(i - 1, sizes)])
+                for r, name in enumerate(self.residuals):
+                    e[rows, r, place] = computed[RESIDUAL + name].T
+                    sigma[rows, r, place] = computed[SIGMA + name].T
+                    doubt[rows, r, place] = computed[MODEL_SD + name].T
+                    novelty[rows, r, place] = computed[UNFAMILIAR + name].T
         doubt = np.hypot(doubt, self._inexact * (e - e[:, :, :1]))
         return e, sigma, doubt, np.nan_to_num(novelty, nan=np.inf).min(axis=2)
 
-    def _computed(
-        self, values: Mapping[str, Array], elapsed: Array
-    ) -> Iterator[tuple[int, Mapping[str, Array]]]:
-        """The log as it is, then each hypothesis: its number of sizes, and the chain's columns in the shape
-        (sizes, rows), or (1, rows) where they are the same for all."""
-        base = {c: x[None, :] for c, x in values.items()}
+    def as_it_is(self, values: Mapping[str, Array], elapsed: Array) -> dict[str, Array]:
+        """The log's and the chain's columns, shape (1, rows)."""
+        base = {c: x[None, :] for c, x in values.items()} | {ELAPSED: elapsed[None, :]}
         for stage in self.chain:
             base |= stage.compute(base)
-        yield 1, base
-        for h, plan in zip(self.hypotheses, self._plans, strict=True):
-            size = {THETA: np.array(h.sizes)[:, None], ELAPSED: elapsed[None, :]}
-            found = {**base, **{column: formula({**base, **size}) for column, formula in h.formulas.items()}}
-            for stage, wanted in zip(self.chain, plan, strict=True):
-                if wanted:
-                    found |= stage.compute(found, wanted)
-            yield len(h.sizes), found
+        return base
+
+    def undone(self, base: Mapping[str, Array], faults: Sequence[tuple[int, Array]]) -> dict[str, Array]:
+        """The chain's columns with the ``faults`` (numbers of hypotheses and their K sizes each) undone, one
+        after the other: shape (K, rows), or (1, rows) where a column is the same for all."""
+        found = dict(base)
+        for i, sizes in faults:
+            scope = {**found, THETA: sizes[:, None]}
+            found |= {column: formula(scope) for column, formula in self.hypotheses[i].formulas.items()}
+        for k, stage in enumerate(self.chain):
+            if wanted := set[str]().union(*(self._plans[i][k] for i, _ in faults)):
+                found |= stage.compute(found, wanted)
+        return found

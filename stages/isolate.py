@@ -118,8 +118,8 @@ class Isolate:
         faults = [*self.hypotheses, UNKNOWN]
         return (
             {DETECTION, STATISTIC}
-            | {kind + f for f in self.hypotheses for kind in (EVIDENCE, DETECTABLE)}
-            | {PROBABILITY + f for f in faults}
+            | {kind + f for f in faults for kind in (EVIDENCE, PROBABILITY)}
+            | {DETECTABLE + f for f in self.hypotheses}
         )
 
     def connect(self, before: Sequence[Stage], /) -> Self:
@@ -170,7 +170,7 @@ class Isolate:
     def start(self) -> IsolateState:
         if "threshold" not in self.learned:
             raise RecipeError("isolate: nothing learned yet; fit it first")
-        F, R, points = len(self.hypotheses), len(self.points.residuals), len(self._grid.left) + 1
+        F, R, points = len(self.hypotheses), len(self.points.residuals), len(self.grid.left) + 1
         seconds = int(max(self.step_ages_s)) + 2
         memory = Memory(
             S=np.zeros((len(self.memories_s) + 2, R, SUMS, points)),
@@ -209,10 +209,10 @@ class Isolate:
             sigma=sigma,
             ln_sigma=np.log(sigma),
             doubt=doubt,
-            shapes=self._shapes(needed),
+            shapes=self.shapes(needed),
         )
         memory = Memory(*(x.copy() for x in state.memory))
-        out = follow(rows, self._grid, self._settings, memory)
+        out = follow(rows, self.grid, self._settings, memory)
         last = float(time[-1]) if time.size else state.time
         return IsolateState(first, last, memory), add_columns(block, self._columns(*out))
 
@@ -235,7 +235,10 @@ class Isolate:
                 PROBABILITY + fault: p[:, i].astype(np.float32),
                 DETECTABLE + fault: _finite(least[:, i]).astype(np.float32),
             }
-        return added | {PROBABILITY + UNKNOWN: p[:, -1].astype(np.float32)}
+        return added | {
+            EVIDENCE + UNKNOWN: evidence[:, -1].astype(np.float32),
+            PROBABILITY + UNKNOWN: p[:, -1].astype(np.float32),
+        }
 
     def _place(self, values: Mapping[str, Array]) -> Array:
         """The operating point in units of what ends a rest, shape (rows, columns of ``rest``)."""
@@ -244,7 +247,7 @@ class Isolate:
             place[:, j] = np.log(np.maximum(values[name], 1e-12)) / within
         return place
 
-    def _shapes(self, values: Mapping[str, Array]) -> Array:
+    def shapes(self, values: Mapping[str, Array]) -> Array:
         """Offset shapes at each row, shape (rows, residuals, 2)."""
         shapes = np.zeros((len(values[TIME]), len(self.points.residuals), 2))
         for i, r in enumerate(self.points.residuals):
@@ -261,7 +264,7 @@ class Isolate:
             memories=np.array([*self.memories_s, self.memories_s[-1], self.rest_s]),
             ages=np.array(self.step_ages_s if self.rest else ()),
             threshold=self.learned["threshold"],
-            sd=self._sd,
+            sd=self.sd,
             unknown_sd=self._unknown_sd,
             correlation=self.correlation_s,
             clip=self.clip,
@@ -272,7 +275,7 @@ class Isolate:
         )
 
     @cached_property
-    def _sd(self) -> Array:
+    def sd(self) -> Array:
         """Standard deviations of the offsets, shape (residuals, 2)."""
         sd = np.zeros((len(self.points.residuals), 2))
         for i, r in enumerate(self.points.residuals):
@@ -292,10 +295,10 @@ class Isolate:
             for i, r in enumerate(s.residuals)
         }
         sigma = np.array([learned[r] for r in self.points.residuals])
-        return np.column_stack([np.maximum(self.unknown_sd * sigma, self._sd[:, 0]), self._sd[:, 1]])
+        return np.column_stack([np.maximum(self.unknown_sd * sigma, self.sd[:, 0]), self.sd[:, 1]])
 
     @cached_property
-    def _grid(self) -> Grid:
+    def grid(self) -> Grid:
         return refined_grid([*self.hypotheses.values()], len(self.drifts), self.between)
 
 

@@ -14,6 +14,7 @@ from ingest.log import Event, Group, Log
 
 # columns of the samples; those with a dot are prefixes of a fault's name
 DETECTION, EVIDENCE, PROBABILITY, UNKNOWN = "detection", "evidence.", "p.", "unknown"
+PAIR, OF = "+", "."  # between the names of two faults; between a pair and one of its two
 STATISTIC, SIZE, SIZE_SD, DETECTABLE = "statistic", "size.", "size_sd.", "detectable."
 
 

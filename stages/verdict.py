@@ -1,8 +1,8 @@
 """Verdict: a log's samples in a few words.
 
 Alarms that lie less than ``merge_s`` apart are one event. Its fault is the one with the largest probability
-at its end, its confidence that probability, and the log's verdict is that of its strongest event, the one
-with the largest evidence reached.
+at its end (more exactly: at its last sample in alarm with half its largest evidence), its confidence that
+probability, and the log's verdict is that of its strongest event, the one with the largest evidence reached.
 """
 
 from __future__ import annotations
@@ -78,11 +78,11 @@ class Judge:
         episodes = self._episodes(samples)
         if not episodes:
             return none
-        events = [self._event(samples, first, last) for first, last in episodes]
-        strength = [self._strength(samples, first, last) for first, last in episodes]
+        strength, rows = zip(*(_strongest(samples, first, last) for first, last in episodes), strict=True)
+        events = [self._event(samples, *episode, row) for episode, row in zip(episodes, rows, strict=True)]
         chosen = int(np.argmax(strength))
-        probability = self._probability(samples, episodes[chosen][1])
-        event = events[chosen]
+        event, row = events[chosen], rows[chosen]
+        probability = self._probability(samples, row)
         return replace(
             none,
             fault=event.kind,
@@ -91,7 +91,7 @@ class Judge:
             probability=probability,
             onset_s=event.t_start,
             detected_s=float(samples[TIME][episodes[chosen][0]]),
-            magnitude=self._magnitude(samples, event.kind, episodes[chosen][1]),
+            magnitude=self._magnitude(samples, event.kind, row),
             events=tuple(events),
         )
 
@@ -112,8 +112,8 @@ class Judge:
             if c.startswith(PROBABILITY)
         }
 
-    def _event(self, samples: Table, first: int, last: int) -> Event:
-        probability = self._probability(samples, last)
+    def _event(self, samples: Table, first: int, last: int, row: int) -> Event:
+        probability = self._probability(samples, row)
         fault = max(probability, key=lambda f: probability[f])
         ended = last < samples.height - 1
         return Event(
@@ -126,18 +126,24 @@ class Judge:
         )
 
     def _magnitude(self, samples: Table, fault: str, row: int) -> Magnitude | None:
-        """The fault's size at the end of its event, where the isolation estimates one."""
+        """The fault's size at that sample of its event, where the isolation estimates one."""
         if SIZE + fault not in samples.columns:
             return None
         there = samples.slice(row, 1)
         value, sd = there[SIZE + fault][0], there[SIZE_SD + fault][0]
         return Magnitude(value=float(value), sd=sd, unit=self.units.get(fault, "1"))
 
-    def _strength(self, samples: Table, first: int, last: int) -> float:
-        names = [c for c in samples.columns if c.startswith(EVIDENCE) and c != EVIDENCE + UNKNOWN]
-        names = names or [STATISTIC]  # no fault is supposed
-        count = last - first + 1
-        return max(float(samples[c].slice(first, count).max() or 0.0) for c in names)  # type: ignore[arg-type]
+
+def _strongest(samples: Table, first: int, last: int) -> tuple[float, int]:
+    """The largest evidence for a fault in an event, and the event's last row with half of it: at the very end
+    an alarm may have begun anew, with nothing known yet."""
+    names = [c for c in samples.columns if c.startswith(EVIDENCE) and c != EVIDENCE + UNKNOWN]
+    part = samples.slice(first, last - first + 1)
+    most = part.select(pl.max_horizontal(names or [STATISTIC])).to_series()  # else no fault is supposed
+    known = most.cast(pl.Float64).fill_nan(None).fill_null(0.0).to_numpy()
+    evidence = np.where(part[DETECTION].to_numpy() > 0, known, -np.inf)
+    largest = float(np.max(evidence))
+    return largest, first + int(np.flatnonzero(evidence >= 0.5 * largest)[-1])
 
 
 def detectable(samples: Table) -> dict[str, float | None] | None:

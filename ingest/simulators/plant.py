@@ -96,11 +96,11 @@ def _flows(x: Array, u: Array, P: Plant, f: Array) -> None:
     f_vol *= (P.r_c - (p_Exh / p_Int) ** (1.0 / K_E)) / (P.r_c - 1.0)
     W_Cyl = f_vol * n / 120.0 * P.V_eng * p_Int / (R_Int * T_Int)  # (5.17)
     W_Egr = _orifice(P.A_Egr * x_Egr, p_Exh, T_Exh, p_Int, T_Int, False, P.Pi_lin_Egr)  # (5.12)
-    eps = max(P.cac_0 - P.cac_1 * max(W_Cyl - W_Egr, 0.0), 0.2)
+    W_LeakInt = _orifice(A_LeakInt, p_Int, T_Int, P.p_Amb, P.T_Amb, True, 0.99)  # (5.31)
+    eps = max(P.cac_0 - P.cac_1 * max(W_Cyl + W_LeakInt - W_Egr, 0.0), 0.2)  # what passes the cooler
     T_Cac = T_Bst - eps * (T_Bst - P.T_Amb)
     W_Thr = _orifice(P.A_Thr, p_Bst, T_Cac, p_Int, T_Int, True, P.Pi_lin_Thr)  # (5.6), cooled
     W_LeakBst = _orifice(A_LeakBst, p_Bst, T_Bst, P.p_Amb, P.T_Amb, True, 0.99)  # (5.26), its own pressure
-    W_LeakInt = _orifice(A_LeakInt, p_Int, T_Int, P.p_Amb, P.T_Amb, True, 0.99)  # (5.31)
     # pressure losses of filter and exhaust from the flow on the other side: no algebraic loop
     p_Filter = P.p_Amb - P.k_filter * max(W_Thr + W_LeakBst, 0.0) ** 2
     p_Post = P.p_Amb + P.k_exhaust * max(W_Cyl + W_Fuel - W_Egr, 0.0) ** 2

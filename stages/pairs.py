@@ -1,0 +1,207 @@
+"""Pairs: two faults at once, where one alone leaves something unexplained.
+
+After the stage `isolate`, on the last ``rows`` usable samples of an alarm, whenever the alarm has twice as many
+as before. Every two of ``faults`` are undone one after the other, the sensor's first, at a few sizes and on a few
+samples. Where that is likelier than the best single fault, Newton's steps on the log-likelihood L
+(:mod:`stages.likelihood`) find both sizes. With d the standard deviations of sizes, C the covariance of the two, and
+f* the best single fault,
+
+    evidence_fg = evidence_f* + L_fg + ln(2 pi |C|^1/2 / ranges) - L_f* - ln(sqrt(2 pi) d / range) - penalty.
+
+The probabilities are those of the stage before, with the pairs among the suppositions. Where a pair explains much,
+errors of the relations explain more too: all evidence then counts ``1 / (1 + model_error gain)``. Two faults at
+once are a requirement of section 1.1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import combinations
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ingest.errors import RecipeError, did_you_mean
+from ingest.log import TIME, Log
+from stages.gate import GATE
+from stages.hypotheses import ELAPSED
+from stages.isolate import Isolate
+from stages.pair_search import Pair, Window
+from stages.results import DETECTION, EVIDENCE, OF, PAIR, PROBABILITY, SIZE, SIZE_SD, UNKNOWN
+from stages.stage import ANALYSIS, Stage, add_columns, columns
+
+Array = NDArray[np.float64]
+FIRST, GROWTH = 20, 2.0  # samples of an alarm before pairs are looked at, and after which factor again
+REFINED, FEW = 12, 50  # pairs at most, samples to find them by
+SHARE = "share"  # of an independent sample
+
+
+@dataclass(frozen=True, eq=False)
+class PairsState:
+    """The alarm's last usable samples, how many there were, when to look again, the time of the log's first
+    row and of the last, and what was found."""
+
+    samples: Mapping[str, Array] = field(default_factory=dict)
+    count: int = 0
+    due: int = FIRST
+    first: float = np.nan
+    time: float = np.nan
+    found: Mapping[str, Pair] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pairs:
+    """``faults``: those that can occur together, none for all of the stage before; ``penalty``: how much likelier than a single fault a pair must be (natural logarithm); ``model_error``:
+    the part of a pair's evidence over a single fault by which evidence may be wrong; ``alike``: faults any
+    two of which look the same, so that their pairs share their probability; ``rows``: samples to look at.
+
+    Raises:
+        RecipeError: the stage before is not `isolate`, or has no such fault.
+    """
+
+    version: ClassVar[str] = "1"
+    faults: tuple[str, ...] = ()
+    penalty: float = 10.0
+    model_error: float = 0.01
+    alike: tuple[tuple[str, ...], ...] = ()
+    rows: int = 300
+    before: tuple[Stage, ...] = ()
+
+    @property
+    def needs(self) -> set[str]:
+        return {DETECTION}
+
+    @property
+    def adds(self) -> set[str]:
+        return (
+            {kind + name for name in self.pairs for kind in (PROBABILITY, EVIDENCE)} if self.before else set()
+        )
+
+    def connect(self, before: Sequence[Stage], /) -> Self:
+        return replace(self, before=tuple(before))
+
+    @cached_property
+    def isolate(self) -> Isolate:
+        if not self.before or not isinstance(self.before[-1], Isolate):
+            raise RecipeError("pairs: put it right after the stage isolate")
+        isolate = self.before[-1]
+        for fault in {*self.faults}.union(*self.alike) - isolate.hypotheses.keys():
+            raise RecipeError(
+                f"pairs: no fault {fault!r} in isolate; {did_you_mean(fault, isolate.hypotheses)}"
+            )
+        return isolate
+
+    @cached_property
+    def pairs(self) -> dict[str, tuple[str, str]]:
+        """Two faults by their common name, a sensor's first."""
+        hypotheses = {f: h for f, h in self.isolate.hypotheses.items() if not self.faults or f in self.faults}
+        out = {}
+        for a, b in combinations(sorted(hypotheses, key=lambda f: (hypotheses[f].signal is None, f)), 2):
+            if hypotheses[a].undo.keys().isdisjoint(hypotheses[b].undo):
+                out[PAIR.join(sorted((a, b)))] = (a, b)
+        return out
+
+    def start(self) -> PairsState:
+        return PairsState()
+
+    def step(self, state: PairsState, block: Log, /) -> tuple[PairsState, Log]:
+        time, values = block.groups[ANALYSIS].time, columns(block)
+        if not time.size:
+            return state, add_columns(block, self._columns(values, []))
+        state = replace(state, first=state.first if np.isfinite(state.first) else float(time[0]))
+        dt = np.diff(time, prepend=state.time)
+        on = values[DETECTION] > 0
+        gate = np.nan_to_num(values.get(GATE, np.ones(time.size)), nan=0.0)
+        usable = on & (gate >= self.isolate.min_gate)
+        wanted = {TIME, GATE, *self.isolate.points.needs} & values.keys()
+        share = np.minimum(np.where(np.isfinite(dt), dt, np.inf), self.isolate.correlation_s)
+        share /= self.isolate.correlation_s
+        samples = {c: values[c] for c in wanted} | {ELAPSED: time - state.first, SHARE: share}
+        found: list[Mapping[str, Pair]] = []
+        taken = 0
+        for k in range(time.size):
+            if not on[k]:
+                state, taken = PairsState(first=state.first), k + 1
+            elif usable[k]:
+                state = replace(state, count=state.count + 1)
+                if state.count >= state.due:
+                    kept = self._kept(state, samples, usable, slice(taken, k + 1))
+                    taken = k + 1
+                    due = int(np.ceil(GROWTH * state.count))
+                    state = replace(state, samples=kept, due=due, found=self._search(kept))
+            found.append(state.found)
+        kept = self._kept(state, samples, usable, slice(taken, time.size))
+        state = replace(state, samples=kept, time=float(time[-1]))
+        return state, add_columns(block, self._columns(values, found))
+
+    def _kept(
+        self, state: PairsState, samples: Mapping[str, Array], usable: NDArray[np.bool_], rows: slice
+    ) -> dict[str, Array]:
+        """The last usable samples, with those of ``rows``."""
+        new = {c: x[rows][usable[rows]] for c, x in samples.items()}
+        old = state.samples
+        return {
+            c: np.concatenate([old[c], x])[-self.rows :] if old else x[-self.rows :] for c, x in new.items()
+        }
+
+    def _search(self, samples: dict[str, Array]) -> dict[str, Pair]:
+        """The pairs that say more than any single fault, their sizes refined; ``height`` is by how much."""
+        isolate = self.isolate
+        points, shapes = isolate.points, isolate.shapes(samples)
+        weight = np.tile(samples[SHARE][:, None], (1, len(points.residuals)))
+        window = Window(points, isolate.grid, samples, shapes, isolate.sd, weight, isolate.clip)
+        few, drifts, names = window.thinned(FEW), len(isolate.drifts), [*isolate.hypotheses]
+        place = {f: drifts + k for k, f in enumerate(names)}
+        single = {f: size for f, (size, _) in zip(names, window.singles, strict=True)}
+        sizes = {f: [*isolate.hypotheses[f].sizes[::2], single[f]] for f in names}
+        starts = {
+            pair: few.start(place[a], place[b], sizes[a], sizes[b]) for pair, (a, b) in self.pairs.items()
+        }
+        alone = max(height for _, height in few.singles)
+        likely = [
+            pair for pair in sorted(starts, key=lambda pair: -starts[pair][0]) if starts[pair][0] > alone
+        ]
+        found: dict[str, Pair] = {}
+        for pair in likely[:REFINED]:
+            i, j = (place[f] for f in self.pairs[pair])
+            found[pair] = window.refined(i, j, few.refined(i, j, starts[pair][1], 8), 2)
+        at = {p: (place[self.pairs[p][0]], place[self.pairs[p][1]], x) for p, x in found.items()}
+        familiar = window.familiar(list(at.values()), isolate.known_to)
+        best = max(height for _, height in familiar.singles) + self.penalty
+        return {
+            pair: replace(x, height=familiar.both(i, j, np.array([x.sizes]))[0] + x.share - best)
+            for pair, (i, j, x) in at.items()
+        }
+
+    def _columns(
+        self, values: Mapping[str, Array], found: Sequence[Mapping[str, Pair]]
+    ) -> dict[str, NDArray[Any]]:
+        """Evidence, probabilities and sizes of all pairs, and the probabilities of all else among them."""
+        temper, singles = self.isolate.temper, [*self.isolate.hypotheses, UNKNOWN]
+        evidence = {f: values[EVIDENCE + f] for f in singles}
+        best = np.max([evidence[f] for f in singles[:-1]], axis=0)
+        added: dict[str, NDArray[Any]] = {}
+        for pair, faults in self.pairs.items():
+            of = [x.get(pair) for x in found]
+            height = np.array([-np.inf if x is None else x.height for x in of])
+            evidence[pair] = best + height
+            added[EVIDENCE + pair] = (best + np.maximum(height, -self.penalty)).astype(np.float32)
+            for k, fault in enumerate(faults):
+                sizes = [(np.nan, np.nan) if x is None else (x.sizes[k], x.sds[k]) for x in of]
+                part = np.array(sizes).reshape(-1, 2)
+                named = pair + OF + fault
+                added |= {
+                    kind + named: part[:, c].astype(np.float32) for c, kind in enumerate((SIZE, SIZE_SD))
+                }
+        on = values[DETECTION] > 0
+        x = np.array([*evidence.values()])
+        x *= temper / (1.0 + self.model_error * np.maximum(x[len(singles) :].max(axis=0) - best, 0.0))
+        odds = np.where(on, np.exp(x - x.max(axis=0)), 0.0)
+        p = odds / np.maximum(odds.sum(axis=0), 1e-300)
+        for group in self.alike:
+            same = [i for i, f in enumerate(evidence) if {*f.split(PAIR)} <= {*group} and PAIR in f]
+            p[same] = p[same].mean(axis=0)
+        return added | {PROBABILITY + f: row.astype(np.float32) for f, row in zip(evidence, p, strict=True)}
