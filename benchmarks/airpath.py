@@ -1,6 +1,7 @@
 """Air-path diagnosis on simulated drives.
 
-    python -m benchmarks.airpath [single] [tolerance] [drift] [ends] [egr] [--seeds N]
+    python -m benchmarks.airpath [single] [tolerance] [drift] [ends] [egr] [egr_without] [egr_tolerance]
+        [pairs] [--seeds N]
 
 Trained on one WLTC, calibrated on other cycles, tested on UDDS, US06 and HWFET with seeds from 9000, that
 nothing was tuned on. Every line says how many drives it counts.
@@ -13,14 +14,17 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cache
+from itertools import combinations
 
 import numpy as np
 
+from ingest.log import Log
 from ingest.simulators.airpath import Fault, simulate_airpath
 from pipeline.detector import Detector
 from pipeline.diagnosing import diagnose
 from pipeline.fitting import fit
 from pipeline.recipe import load_recipe
+from stages.results import PAIR
 
 LENGTH_S = {"udds": 1369.0, "us06": 596.0, "hwfet": 765.0}
 FIRST_SEED = 9000
@@ -47,6 +51,8 @@ LARGE = {
     "boost_leak": (6.0, 8.0),
     "intake_leak": (6.0, 8.0),
 }
+PAIRED = {"maf_gain": 0.06, "boost_pressure_gain": 0.04, "intake_pressure_gain": 0.04}  # either sign
+LEAKS = {"boost_leak": 8.0, "intake_leak": 8.0}
 EGR = {**LARGE, "intake_temperature_gain": (-0.03, 0.03), "egr_stuck_open": (15.0, 30.0, 60.0)}
 
 
@@ -58,8 +64,10 @@ class Case:
     seed: int = 0
     tolerance: int = 0
     egr: bool = False
-    fault: str = "none"
+    exhaust: bool = True  # whether p_Exh is logged
+    fault: str = "none"  # two joined by "+", then also two magnitudes
     magnitude: float = 0.0
+    second: float = 0.0
     ramp_s: float = 0.0
     end: float | None = None  # share of the drive
 
@@ -86,28 +94,52 @@ class Found:
     def right(self) -> bool:
         return self.fault == self.case.fault
 
+    @property
+    def included(self) -> bool:
+        """The true fault, or both of two, in the reported set."""
+        return self.case.fault in self.candidates or {*self.case.fault.split(PAIR)} <= {*self.candidates}
+
+
+def logged(log: Log, exhaust: bool) -> Log:
+    """The log, without the exhaust pressure where that is not to be logged."""
+    if exhaust:
+        return log
+    groups = {
+        k: replace(
+            g,
+            frame=g.frame.drop("p_Exh", strict=False),
+            signals={n: s for n, s in g.signals.items() if n != "p_Exh"},
+        )
+        for k, g in log.groups.items()
+    }
+    return replace(log, groups=groups)
+
 
 @cache
-def detector(tolerance: int, egr: bool) -> Detector:
+def detector(tolerance: int, egr: bool, exhaust: bool) -> Detector:
     """Training without tolerances, with EGR on a second WLTC; calibration with tolerances."""
     calibrate = [
         simulate_airpath(cycle=c, seed=s, tolerance=tolerance, egr=egr, name=f"{c}_{s}")
         for c, s in CALIBRATION
     ]
     training = [simulate_airpath(seed=s, egr=e) for s, e in ((0, False), (100, True))[: 1 + egr]]
-    return fit(training, load_recipe("diesel_airpath"), calibrate)
+    learned, checked = ([logged(log, exhaust) for log in logs] for logs in (training, calibrate))
+    return fit(learned, load_recipe("diesel_airpath"), checked)
 
 
 def judged(case: Case) -> Found:
     """The verdict on a drive."""
     onset = LENGTH_S[case.cycle] / 3
     end = None if case.end is None else case.end * LENGTH_S[case.cycle]
-    fault = Fault(name=case.fault, magnitude=case.magnitude, onset_s=onset, ramp_s=case.ramp_s, end_s=end)
+    faults = [
+        Fault(name=name, magnitude=size, onset_s=onset, ramp_s=case.ramp_s, end_s=end)
+        for name, size in zip(case.fault.split(PAIR), (case.magnitude, case.second), strict=False)
+        if name != "none"
+    ]
     log = simulate_airpath(
-        cycle=case.cycle, seed=case.seed, tolerance=case.tolerance, egr=case.egr,
-        faults=[] if case.fault == "none" else [fault],
-    )  # fmt: skip
-    diagnosis = diagnose(log, detector(case.tolerance, case.egr))
+        cycle=case.cycle, seed=case.seed, tolerance=case.tolerance, egr=case.egr, faults=faults
+    )
+    diagnosis = diagnose(logged(log, case.exhaust), detector(case.tolerance, case.egr, case.exhaust))
     verdict, samples = diagnosis.verdict, diagnosis.samples
     on = samples.filter(samples["detection"] == 1)["time"]
     last = float(on[-1]) if len(on) else np.nan
@@ -133,6 +165,18 @@ def drives(plan: Case, sizes: dict[str, tuple[float, ...]], seeds: int) -> Itera
                     yield replace(plan, cycle=cycle, seed=seed, fault=fault, magnitude=m)
 
 
+def pairs(plan: Case, seeds: int) -> Iterator[Case]:
+    """Every sensor with every other and with every leak, both signs, on the cycles that leave both 300 s."""
+    sensors = [(f, s * m) for f, m in PAIRED.items() for s in (-1, 1)]
+    two = [(a, b) for a, b in combinations([*sensors, *LEAKS.items()], 2) if a[0] in PAIRED and a[0] != b[0]]
+    for cycle in LENGTH_S:
+        for i, ((a, x), (b, y)) in enumerate(two):
+            first, second = sorted(((a, x), (b, y)))
+            for seed in range(FIRST_SEED + 50 * i, FIRST_SEED + 50 * i + seeds):
+                name = PAIR.join((first[0], second[0]))
+                yield replace(plan, cycle=cycle, seed=seed, fault=name, magnitude=first[1], second=second[1])
+
+
 def report(title: str, found: Sequence[Found]) -> None:
     """False alarms, and by fault: detected, named right, in the set, confidently wrong, delay, size."""
     healthy = [f for f in found if f.case.fault == "none"]
@@ -142,7 +186,7 @@ def report(title: str, found: Sequence[Found]) -> None:
     names = ", ".join(f"{f.case.name} {f.fault}" for f in alarms)
     print(f"  fault-free drives with an alarm: {len(alarms)} of {len(healthy)} {names}")
     print(
-        "  fault                       size  drives  found  right  in set  p>.95 wrong"
+        "  fault                                         size  drives  found  right  in set  p>.95 wrong"
         "   delay s: median, 90 %      size"
     )
     keys = sorted({(f.case.fault, f.case.magnitude) for f in faulty})
@@ -156,16 +200,16 @@ def _row(name: str, size: str, some: Sequence[Found]) -> None:
     delays = np.array([f.delay_s for f in hit] or [np.nan])
     sizes = np.array([f.size for f in some if f.right] or [np.nan])
     print(
-        f"  {name:24s}{size:>8s}{len(some):8d}{len(hit):7d}{sum(f.right for f in some):7d}"
-        f"{sum(f.case.fault in f.candidates for f in some):8d}"
-        f"{sum(f.alarm and not f.right and f.p > 0.95 for f in some):13d}"
+        f"  {name:42s}{size:>8s}{len(some):8d}{len(hit):7d}{sum(f.right for f in some):7d}"
+        f"{sum(f.included for f in some):8d}"
+        f"{sum(f.alarm and not f.right and not f.included and f.p > 0.95 for f in some):13d}"
         f"{np.median(delays):16.1f}{np.quantile(delays, 0.9):8.1f}{np.median(sizes):10.3g}"
     )
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("parts", nargs="*", metavar="PART", help="single tolerance drift ends egr")
+    parser.add_argument("parts", nargs="*", metavar="PART", help="see above; all of them by default")
     parser.add_argument("--seeds", type=int, default=6, help="per cycle, fault and size")
     parser.add_argument("--workers", type=int, default=2)
     args = parser.parse_args()
@@ -176,13 +220,17 @@ def main() -> None:
         "drift": ("drifts over 200 s", Case(ramp_s=200.0), LARGE, few),
         "ends": ("faults that end at 60 %", Case(end=0.6), LARGE, few),
         "egr": ("EGR active", Case(egr=True), EGR, args.seeds),
+        "egr_without": ("EGR active, no p_Exh", Case(egr=True, exhaust=False), EGR, args.seeds),
+        "egr_tolerance": ("EGR active, tolerance level 1", Case(egr=True, tolerance=1), EGR, args.seeds),
+        "pairs": ("two faults at once", Case(), {}, few),
     }
     if unknown := set(args.parts) - plans.keys():
         parser.error(f"no part {', '.join(unknown)}; there are {', '.join(plans)}")
     with ProcessPoolExecutor(args.workers) as pool:
         for part in args.parts or plans:
             title, plan, sizes, seeds = plans[part]
-            found = list(pool.map(judged, drives(plan, sizes, seeds), chunksize=4))
+            cases = pairs(plan, seeds) if part == "pairs" else drives(plan, sizes, seeds)
+            found = list(pool.map(judged, cases, chunksize=4))
             report(title, found)
             if part == "ends":
                 _cleared(found)

@@ -24,6 +24,7 @@ from stages.results import (
     DETECTABLE,
     DETECTION,
     EVIDENCE,
+    PAIR,
     PROBABILITY,
     SIZE,
     SIZE_SD,
@@ -61,8 +62,11 @@ def concluded(log: Log, detector: Detector, block: Log, quality: Mapping[str, An
 
 
 def corrected(log: Log, samples: pl.DataFrame, verdict: Verdict, detector: Detector) -> Group | None:
-    """The isolated sensor's readings, raw and corrected, at its own rate; None where none was isolated."""
-    return accommodate(log, samples, verdict.signal, supposed(detector.recipe)) if verdict.signal else None
+    """The isolated sensor's readings (the first one's of two), raw and corrected, at its own rate; None where
+    none was isolated."""
+    if verdict.signal is None:
+        return None
+    return accommodate(log, samples, verdict.signal.split(PAIR)[0], supposed(detector.recipe))
 
 
 def supposed(recipe: Recipe) -> dict[str, Hypothesis]:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ingest.log import TIME, Group, Log, Signal
 from stages.compensate import CORRECTED, CORRECTED_SD
 from stages.hypotheses import THETA, Hypothesis
-from stages.results import DETECTION, PROBABILITY, SIZE, SIZE_SD, UNKNOWN
+from stages.results import DETECTION, OF, PAIR, PROBABILITY, SIZE, SIZE_SD
 
 Array = NDArray[np.float64]
 MIN_PROBABILITY = 0.5
@@ -38,18 +38,22 @@ def accommodate(
     group = log.group_of(signal)
     reading = log.values(signal)
     row = np.searchsorted(samples[TIME].to_numpy(), group.time, side="right") - 1
-    faults = [*hypotheses, UNKNOWN]
-    p = samples.select(PROBABILITY + f for f in faults).to_numpy()
+    names = [c.removeprefix(PROBABILITY) for c in samples.columns if c.startswith(PROBABILITY)]
+    p = samples.select(PROBABILITY + f for f in names).to_numpy()
     sure = (samples[DETECTION].to_numpy() > 0) & (p.max(axis=1) >= MIN_PROBABILITY)
     named = np.append(np.where(sure, p.argmax(axis=1), -1), -1)  # the last for what comes before all samples
     corrected, sd = reading.copy(), np.zeros_like(reading)
-    for fault, hypothesis in concerned.items():
-        here = named[row] == faults.index(fault)
-        size, width = (samples[kind + fault].to_numpy()[row[here]] for kind in (SIZE, SIZE_SD))
-        undo = hypothesis.formulas[signal]
+    for k, name in enumerate(names):
+        fault = next((f for f in name.split(PAIR) if f in concerned), None)
+        here = named[row] == k
+        if fault is None or not here.any():
+            continue
+        sized = name if name == fault else name + OF + fault
+        size, width = (samples[kind + sized].to_numpy()[row[here]] for kind in (SIZE, SIZE_SD))
+        undo = concerned[fault].formulas[signal]
         corrected[here] = undo({signal: reading[here], THETA: size})
         sd[here] = np.abs(undo({signal: reading[here], THETA: size + width}) - corrected[here])
-    names = [signal, signal + CORRECTED, signal + CORRECTED_SD]
-    frame = pl.DataFrame({TIME: group.time, **dict(zip(names, (reading, corrected, sd), strict=True))})
+    written = [signal, signal + CORRECTED, signal + CORRECTED_SD]
+    frame = pl.DataFrame({TIME: group.time, **dict(zip(written, (reading, corrected, sd), strict=True))})
     unit = group.signals[signal].unit
-    return Group("corrected", frame, {n: Signal(name=n, unit=unit) for n in names})
+    return Group("corrected", frame, {n: Signal(name=n, unit=unit) for n in written})

@@ -1,5 +1,4 @@
-"""Search for two faults at once in a window of samples: a start where what the two change adds up, then Newton's
-steps with both truly undone."""
+"""Search for two faults at once: both are undone at a few sizes, then Newton's steps."""
 
 from __future__ import annotations
 
@@ -22,8 +21,8 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Pair:
-    """Two faults: how evident they are, their sizes and the sizes' standard deviations, and the logarithm of the
-    share of all sizes that these make."""
+    """Two faults: how evident they are, the logarithm of the share of all sizes that theirs make, the sizes
+    and their standard deviations."""
 
     height: float
     share: float
@@ -33,8 +32,9 @@ class Pair:
 
 @dataclass(frozen=True, eq=False)
 class Window:
-    """Samples to judge by: ``values`` (rows,), ``shapes`` of the offsets (rows, residuals, 2), their standard
-    deviations ``sd`` (residuals, 2), ``weight`` (rows, residuals); spikes are held within ``clip`` spreads."""
+    """Samples to judge by: ``values`` (rows,), ``shapes`` of the offsets (rows, residuals, 2), their
+    standard deviations ``sd`` (residuals, 2), ``weight`` (rows, residuals); spikes are held within ``clip``
+    spreads."""
 
     points: Points
     grid: Grid
@@ -108,7 +108,7 @@ class Window:
         return float(L[best]), (float(sizes[best, 0]), float(sizes[best, 1]))
 
     def familiar(self, pairs: Sequence[tuple[int, int, Pair]], known_to: float) -> Window:
-        """The samples that a single fault or one of the ``pairs`` brings to where the relations were trained."""
+        """The samples that a single fault or one of the ``pairs`` brings to where relations were trained."""
         novelty = [self.computed[3]]
         for i, j, pair in pairs:
             found = self._undone(i, j, np.array([pair.sizes]))

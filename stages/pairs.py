@@ -1,16 +1,16 @@
 """Pairs: two faults at once, where one alone leaves something unexplained.
 
-After the stage `isolate`, on the last ``rows`` usable samples of an alarm, whenever the alarm has twice as many
-as before. Every two of ``faults`` are undone one after the other, the sensor's first, at a few sizes and on a few
-samples. Where that is likelier than the best single fault, Newton's steps on the log-likelihood L
-(:mod:`stages.likelihood`) find both sizes. With d the standard deviations of sizes, C the covariance of the two, and
-f* the best single fault,
+After the stage `isolate`, on the last ``rows`` usable samples of an alarm, whenever the alarm has twice as
+many as before. Every two of ``faults`` are undone one after the other, the sensor's first, at a few sizes and
+on a few samples. Where that is likelier than the best single fault, Newton's steps on the log-likelihood L
+(:mod:`stages.likelihood`) find both sizes. With d the standard deviation of a size, C the covariance of the
+two, and f* the best single fault,
 
     evidence_fg = evidence_f* + L_fg + ln(2 pi |C|^1/2 / ranges) - L_f* - ln(sqrt(2 pi) d / range) - penalty.
 
-The probabilities are those of the stage before, with the pairs among the suppositions. Where a pair explains much,
-errors of the relations explain more too: all evidence then counts ``1 / (1 + model_error gain)``. Two faults at
-once are a requirement of section 1.1.
+The probabilities are those of the stage before, with the pairs among the suppositions. Where a pair explains
+much, errors of the relations explain more, too: all evidence then counts ``1 / (1 + model_error gain)``. Two
+faults at once are a requirement of section 1.1.
 """
 
 from __future__ import annotations
@@ -54,9 +54,10 @@ class PairsState:
 
 @dataclass(frozen=True, kw_only=True)
 class Pairs:
-    """``faults``: those that can occur together, none for all of the stage before; ``penalty``: how much likelier than a single fault a pair must be (natural logarithm); ``model_error``:
-    the part of a pair's evidence over a single fault by which evidence may be wrong; ``alike``: faults any
-    two of which look the same, so that their pairs share their probability; ``rows``: samples to look at.
+    """``faults``: those that can occur together, none for all of the stage before; ``penalty``: how much
+    likelier than a single fault a pair must be (natural logarithm); ``model_error``: the part of a pair's
+    evidence over a single fault by which evidence may be wrong; ``alike``: faults any two of which look the
+    same, so that their pairs share their probability; ``rows``: samples to look at.
 
     Raises:
         RecipeError: the stage before is not `isolate`, or has no such fault.

@@ -32,7 +32,8 @@ class Verdict:
     """The diagnosis of one log in a few words; what does not apply is None or empty.
 
     ``fault`` is ``none`` or ``insufficient_evidence`` without an alarm, else the most probable hypothesis of
-    the strongest event, or ``unknown``. ``set`` holds all faults with a probability above 0.05.
+    the strongest event, or ``unknown``. ``set`` holds all faults with a probability above 0.05. The sizes of
+    two faults at once are ``statistics["magnitudes"]``.
     """
 
     log: str

@@ -8,7 +8,7 @@ probability, and the log's verdict is that of its strongest event, the one with 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -23,6 +23,8 @@ from stages.results import (
     DETECTABLE,
     DETECTION,
     EVIDENCE,
+    OF,
+    PAIR,
     PROBABILITY,
     SIZE,
     SIZE_SD,
@@ -83,6 +85,8 @@ class Judge:
         chosen = int(np.argmax(strength))
         event, row = events[chosen], rows[chosen]
         probability = self._probability(samples, row)
+        if sizes := self._magnitudes(samples, event.kind, row):
+            statistics["magnitudes"] = {f: asdict(size) for f, size in sizes.items()}
         return replace(
             none,
             fault=event.kind,
@@ -120,18 +124,24 @@ class Judge:
             t_start=onset(samples, first),
             t_end=float(samples[TIME][last]) if ended else None,
             kind=fault,
-            channel=self.channels.get(fault),
+            channel=PAIR.join(self.channels[f] for f in fault.split(PAIR) if f in self.channels) or None,
             confidence=probability[fault],
             source="dynoscope",
         )
 
-    def _magnitude(self, samples: Table, fault: str, row: int) -> Magnitude | None:
-        """The fault's size at that sample of its event, where the isolation estimates one."""
-        if SIZE + fault not in samples.columns:
+    def _magnitude(self, samples: Table, fault: str, row: int, of: str = "") -> Magnitude | None:
+        """The size of ``fault``, or of one of the two in it, at a row, where the isolation estimates it."""
+        column = fault + OF + of if of else fault
+        if SIZE + column not in samples.columns:
             return None
         there = samples.slice(row, 1)
-        value, sd = there[SIZE + fault][0], there[SIZE_SD + fault][0]
-        return Magnitude(value=float(value), sd=sd, unit=self.units.get(fault, "1"))
+        value, sd = there[SIZE + column][0], there[SIZE_SD + column][0]
+        return Magnitude(value=float(value), sd=sd, unit=self.units.get(of or fault, "1"))
+
+    def _magnitudes(self, samples: Table, pair: str, row: int) -> dict[str, Magnitude]:
+        """The sizes of two faults at once."""
+        found = {f: self._magnitude(samples, pair, row, f) for f in pair.split(PAIR) if f != pair}
+        return {f: size for f, size in found.items() if size is not None}
 
 
 def _strongest(samples: Table, first: int, last: int) -> tuple[float, int]:
@@ -143,7 +153,7 @@ def _strongest(samples: Table, first: int, last: int) -> tuple[float, int]:
     known = most.cast(pl.Float64).fill_nan(None).fill_null(0.0).to_numpy()
     evidence = np.where(part[DETECTION].to_numpy() > 0, known, -np.inf)
     largest = float(np.max(evidence))
-    return largest, first + int(np.flatnonzero(evidence >= 0.5 * largest)[-1])
+    return largest, first + int(np.flatnonzero(evidence >= min(0.5 * largest, largest))[-1])
 
 
 def detectable(samples: Table) -> dict[str, float | None] | None:

@@ -23,6 +23,7 @@ from stages.isolate import Isolate
 from stages.monitor import Monitor
 from stages.narx import Narx
 from stages.normalise import Normalise
+from stages.pairs import Pairs
 from stages.regressors import Regressors
 from stages.relations import Relation, Relations
 from stages.residuals import Residuals
@@ -44,10 +45,14 @@ CHAIN: dict[str, Stage] = {
     ),
     "residuals": Residuals(residuals={"r": "y - f", "q": "y / f - 1"}),
     "isolate": Isolate(
-        hypotheses={"gain": Hypothesis(undo={"y": "y / (1 + theta)"}, sizes=(-0.1, 0.05, 0.1))},
+        hypotheses={
+            "gain": Hypothesis(undo={"y": "y / (1 + theta)"}, sizes=(-0.1, 0.05, 0.1)),
+            "offset": Hypothesis(undo={"a": "a - theta"}, sizes=(-0.1, 0.1)),
+        },
         offsets={"r": {"1": 0.01, "a": 0.01}},
         memories_s=(5.0, 20.0),
     ),
+    "pairs": Pairs(),
     "detect": Detect(memories_s=(5.0, 20.0)),
     "signatures": Signatures(table={"high": {"r": "+", "q": "x"}, "low": {"r": "-", "q": "x"}}),
 }
@@ -170,7 +175,7 @@ def test_gaps_and_missing_values_do_not_crash_or_spread(
     assert out.filter(pl.col("time").is_between(91, 109)).is_empty()
     # a size at the end of its grid has no standard deviation, an optional signal may be absent
     late = out.filter(pl.col("time").is_between(120, 299)).select(
-        pl.selectors.float() - pl.selectors.starts_with("size_sd", "absent")
+        pl.selectors.float() - pl.selectors.starts_with("size", "detectable", "absent")
     )
     assert late.null_count().sum_horizontal().item() == 0
     assert np.isfinite(late.to_numpy()).all()

@@ -1,0 +1,86 @@
+"""Two faults at once on the made-up engine: found, named, measured; one fault stays one."""
+
+from __future__ import annotations
+
+import numpy as np
+import polars as pl
+import pytest
+from made_up_engine import HYPOTHESES, STAGES, drive, fitted_to
+
+from ingest.errors import RecipeError
+from stages.pairs import Pairs
+from stages.stage import ANALYSIS, Stage, connected, transform
+
+SINGLES = [f"p.{f}" for f in (*HYPOTHESES, "unknown")]
+PAIRS = ["p.flow_gain+leak", "p.flow_gain+pressure_gain", "p.leak+pressure_gain"]
+
+
+@pytest.fixture(scope="module")
+def fitted() -> list[Stage]:
+    return fitted_to((*STAGES, Pairs()))
+
+
+def late(fitted: list[Stage], **faults: float) -> pl.DataFrame:
+    """Samples after an alarm of 200 s."""
+    return transform(fitted, drive(7, **faults)).groups[ANALYSIS].frame.filter(pl.col("time") > 400)
+
+
+@pytest.mark.parametrize(
+    ("faults", "name", "sizes"),
+    [
+        ({"flow": 0.05, "pressure": -0.04}, "flow_gain+pressure_gain", (0.05, -0.04)),
+        ({"flow": -0.05, "leak": 2.0}, "flow_gain+leak", (-0.05, 2.0)),
+        ({"pressure": 0.05, "leak": 2.0}, "leak+pressure_gain", (2.0, 0.05)),
+    ],
+)
+def test_two_faults_are_named_and_measured(
+    fitted: list[Stage], faults: dict[str, float], name: str, sizes: tuple[float, float]
+) -> None:
+    last = late(fitted, **faults).row(-1, named=True)
+    assert last[f"p.{name}"] > 0.9
+    assert last[f"evidence.{name}"] > max(
+        last[f"evidence.{f}"] for f in ("flow_gain", "pressure_gain", "leak")
+    )
+    for fault, size in zip(name.split("+"), sizes, strict=True):
+        found, sd = last[f"size.{name}.{fault}"], last[f"size_sd.{name}.{fault}"]
+        assert found == pytest.approx(size, rel=0.15)
+        assert abs(found - size) < 5 * sd
+
+
+@pytest.mark.parametrize("fault", [{"flow": 0.05}, {"pressure": -0.03}, {"leak": 2.0}])
+def test_one_fault_is_not_two(fitted: list[Stage], fault: dict[str, float]) -> None:
+    frame = late(fitted, **fault)
+    assert frame.select(pl.max_horizontal(PAIRS).max()).item() < 0.2
+    total = frame.select(pl.sum_horizontal(*SINGLES, *PAIRS)).to_series()
+    np.testing.assert_allclose(total, 1.0, atol=1e-5)
+
+
+def test_without_an_alarm_nothing_is_said(fitted: list[Stage]) -> None:
+    frame = late(fitted)
+    assert frame.select(pl.max_horizontal(*SINGLES, *PAIRS).max()).item() == 0.0
+    assert (frame["evidence.flow_gain+leak"] <= frame["evidence.leak"].max()).all()
+
+
+def test_blocks_do_not_matter(fitted: list[Stage]) -> None:
+    log = drive(8, flow=0.05, leak=2.0)
+    whole, parts = (transform(fitted, log, block).groups[ANALYSIS].frame for block in (None, 7.3))
+    for column in (c for c in whole.columns if "+" in c):
+        np.testing.assert_allclose(whole[column], parts[column], rtol=1e-4, atol=1e-6)
+
+
+def test_pairs_that_look_the_same_share_their_probability() -> None:
+    alike = fitted_to((*STAGES, Pairs(alike=(("flow_gain", "pressure_gain", "leak"),))))
+    last = late(alike, flow=0.05, pressure=-0.04).row(-1, named=True)
+    assert (
+        len({last[f"p.{p}"] for p in ("flow_gain+leak", "flow_gain+pressure_gain", "leak+pressure_gain")})
+        == 1
+    )
+
+
+def test_mistakes() -> None:
+    with pytest.raises(RecipeError, match="right after the stage isolate"):
+        _ = Pairs().isolate
+    stages = connected([*fitted_to(STAGES), Pairs(faults=("leek",))])
+    assert isinstance(stages[-1], Pairs)
+    with pytest.raises(RecipeError, match=r"no fault 'leek' in isolate.*leak"):
+        _ = stages[-1].pairs
