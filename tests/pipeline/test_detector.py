@@ -13,6 +13,7 @@ from ingest.errors import StoreError
 from ingest.log import Log
 from pipeline import diagnose, fit
 from pipeline.detector import Detector, check_recipe, load_detector, load_record, save_detector
+from pipeline.diagnosing import supposed
 from pipeline.recipe import Recipe, build_recipe
 from pipeline.records import key_of, seal
 from stages.detect import Detect
@@ -162,7 +163,7 @@ def test_record_says_what_was_learned(detector: Detector) -> None:
     assert {"log": "healthy1", "seed": 1}.items() <= record["training"][0].items()
     assert len(record["training"][0]["sha256"]) == 64
     assert record["training"][0]["sha256"] != record["calibration"][0]["sha256"]
-    assert set(record["thresholds"]["100 s"]) == set(detector.stages[-1].hypotheses)  # type: ignore[attr-defined]
+    assert set(record["thresholds"]["100 s"]) == set(supposed(detector.recipe))
     assert 0 < record["scores"]["sigma"]["r_cyl"] < 0.05
     assert 0 < record["scores"]["rms"]["f_Cyl"] < 2.0
     assert record["seeds"] == {"7.search.seed": 0}
