@@ -37,6 +37,7 @@ Array = NDArray[np.float64]
 FIRST, GROWTH = 20, 2.0  # samples of an alarm before pairs are looked at, and after which factor again
 REFINED, FEW = 12, 50  # pairs at most, samples to find them by
 SHARE = "share"  # of an independent sample
+NOTHING = Pair(-np.inf, 0.0, (np.nan, np.nan), (np.nan, np.nan))
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +112,7 @@ class Pairs:
     def step(self, state: PairsState, block: Log, /) -> tuple[PairsState, Log]:
         time, values = block.groups[ANALYSIS].time, columns(block)
         if not time.size:
-            return state, add_columns(block, self._columns(values, []))
+            return state, add_columns(block, self._columns(values, {}))
         state = replace(state, first=state.first if np.isfinite(state.first) else float(time[0]))
         dt = np.diff(time, prepend=state.time)
         on = values[DETECTION] > 0
@@ -121,11 +122,11 @@ class Pairs:
         share = np.minimum(np.where(np.isfinite(dt), dt, np.inf), self.isolate.correlation_s)
         share /= self.isolate.correlation_s
         samples = {c: values[c] for c in wanted} | {ELAPSED: time - state.first, SHARE: share}
-        found: list[Mapping[str, Pair]] = []
+        found: dict[int, Mapping[str, Pair]] = {0: state.found}  # from a row on
         taken = 0
-        for k in range(time.size):
+        for k in np.flatnonzero(on | np.append(True, on[:-1])).tolist():
             if not on[k]:
-                state, taken = PairsState(first=state.first), k + 1
+                state, taken, found[k] = PairsState(first=state.first), k + 1, {}
             elif usable[k]:
                 state = replace(state, count=state.count + 1)
                 if state.count >= state.due:
@@ -133,7 +134,7 @@ class Pairs:
                     taken = k + 1
                     due = int(np.ceil(GROWTH * state.count))
                     state = replace(state, samples=kept, due=due, found=self._search(kept))
-            found.append(state.found)
+                    found[k] = state.found
         kept = self._kept(state, samples, usable, slice(taken, time.size))
         state = replace(state, samples=kept, time=float(time[-1]))
         return state, add_columns(block, self._columns(values, found))
@@ -178,25 +179,23 @@ class Pairs:
         }
 
     def _columns(
-        self, values: Mapping[str, Array], found: Sequence[Mapping[str, Pair]]
+        self, values: Mapping[str, Array], found: Mapping[int, Mapping[str, Pair]]
     ) -> dict[str, NDArray[Any]]:
         """Evidence, probabilities and sizes of all pairs, and the probabilities of all else among them."""
         temper, singles = self.isolate.temper, [*self.isolate.hypotheses, UNKNOWN]
         evidence = {f: values[EVIDENCE + f] for f in singles}
         best = np.max([evidence[f] for f in singles[:-1]], axis=0)
+        lasting = np.diff([*found, len(best)])  # rows
         added: dict[str, NDArray[Any]] = {}
         for pair, faults in self.pairs.items():
-            of = [x.get(pair) for x in found]
-            height = np.array([-np.inf if x is None else x.height for x in of])
+            of = [known.get(pair, NOTHING) for known in found.values()]
+            height = np.repeat([x.height for x in of], lasting)
             evidence[pair] = best + height
             added[EVIDENCE + pair] = (best + np.maximum(height, -self.penalty)).astype(np.float32)
             for k, fault in enumerate(faults):
-                sizes = [(np.nan, np.nan) if x is None else (x.sizes[k], x.sds[k]) for x in of]
-                part = np.array(sizes).reshape(-1, 2)
-                named = pair + OF + fault
-                added |= {
-                    kind + named: part[:, c].astype(np.float32) for c, kind in enumerate((SIZE, SIZE_SD))
-                }
+                named, x = pair + OF + fault, np.array([(x.sizes[k], x.sds[k]) for x in of]).reshape(-1, 2)
+                for c, kind in enumerate((SIZE, SIZE_SD)):
+                    added[kind + named] = np.repeat(x[:, c], lasting).astype(np.float32)
         on = values[DETECTION] > 0
         x = np.array([*evidence.values()])
         x *= temper / (1.0 + self.model_error * np.maximum(x[len(singles) :].max(axis=0) - best, 0.0))
