@@ -4,7 +4,7 @@
 
 Wants scikit-learn. The recipe, its regime map, its isolation and its calibration are the same for all; only
 what predicts from the relations' inputs is exchanged: GSMMS, one plane, a global quadratic, a neural network
-(20-20) and gradient boosting, the last two with their library's defaults. For detection alone: T2 and SPE of a
+(20-20) and gradient boosting, the last two with their library's defaults. For detection: T2 and SPE of a
 principal component analysis of the signals, and an isolation forest, each with the largest 30 s mean of the
 calibration logs as its threshold. As in :mod:`benchmarks.airpath`: trained on one WLTC, without tolerances,
 drives not tuned on.
@@ -68,7 +68,9 @@ def network(S: Array, y: Array, weight: Array) -> Model:
     net = importlib.import_module("sklearn.neural_network")
     rows = weight > 0.2
     centre, scale = y[rows].mean(), y[rows].std() or 1.0
-    model = net.MLPRegressor((20, 20), max_iter=2000, random_state=0).fit(S[rows], (y[rows] - centre) / scale)
+    model = net.MLPRegressor(hidden_layer_sizes=(20, 20), max_iter=2000, random_state=0).fit(
+        S[rows], (y[rows] - centre) / scale
+    )
     return lambda X: np.asarray(centre + scale * model.predict(X))
 
 
