@@ -1,9 +1,9 @@
 """Pairs: two faults at once, where one alone leaves something unexplained.
 
-After the stage `isolate`, on the last ``rows`` usable samples of an alarm, whenever the alarm has twice as
-many as before. Every two of ``faults`` are undone one after the other, the sensor's first, at a few sizes and
-on a few samples. Where that is likelier than the best single fault, Newton's steps on the log-likelihood L
-(:mod:`stages.likelihood`) find both sizes. With d the standard deviation of a size, C the covariance of the
+After the stage `isolate`, on the last ``rows`` usable samples of an alarm, whenever the alarm has three times
+as many as before. Every two of ``faults`` are undone one after the other, the sensor's first, at a few sizes
+and on a few samples. Where that is likelier than the best single fault, Newton's steps on the log-likelihood
+L (:mod:`stages.likelihood`) find both sizes. With d the standard deviation of a size, C the covariance of the
 two, and f* the best single fault,
 
     evidence_fg = evidence_f* + L_fg + ln(2 pi |C|^1/2 / ranges) - L_f* - ln(sqrt(2 pi) d / range) - penalty.
@@ -34,7 +34,7 @@ from stages.results import DETECTION, EVIDENCE, OF, PAIR, PROBABILITY, SIZE, SIZ
 from stages.stage import ANALYSIS, Stage, add_columns, columns
 
 Array = NDArray[np.float64]
-FIRST, GROWTH = 20, 2.0  # samples of an alarm before pairs are looked at, and after which factor again
+FIRST, GROWTH = 20, 3.0  # samples of an alarm before pairs are looked at, and after which factor again
 REFINED, FEW = 12, 50  # pairs at most, samples to find them by
 SHARE = "share"  # of an independent sample
 NOTHING = Pair(-np.inf, 0.0, (np.nan, np.nan), (np.nan, np.nan))
@@ -69,7 +69,7 @@ class Pairs:
     penalty: float = 10.0
     model_error: float = 0.01
     alike: tuple[tuple[str, ...], ...] = ()
-    rows: int = 300
+    rows: int = 200
     before: tuple[Stage, ...] = ()
 
     @property
@@ -158,7 +158,7 @@ class Pairs:
         few, drifts, names = window.thinned(FEW), len(isolate.drifts), [*isolate.hypotheses]
         place = {f: drifts + k for k, f in enumerate(names)}
         single = {f: size for f, (size, _) in zip(names, window.singles, strict=True)}
-        sizes = {f: [*isolate.hypotheses[f].sizes[::2], single[f]] for f in names}
+        sizes = {f: [*isolate.hypotheses[f].sizes[::3], single[f]] for f in names}
         starts = {
             pair: few.start(place[a], place[b], sizes[a], sizes[b]) for pair, (a, b) in self.pairs.items()
         }
