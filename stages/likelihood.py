@@ -64,6 +64,8 @@ def add_sample(
     e, sigma, ln_sigma, doubt = row
     P = len(grid.left)
     for r in range(S.shape[0]):
+        if np.isnan(e[r, 0]) or np.isnan(sigma[r, 0]):  # the log as it is cannot be compared
+            continue
         h1, h2, weight = shapes[r, 0], shapes[r, 1], weights[r]
         for p in range(P + 1):
             a, b, share = (grid.left[p], grid.right[p], grid.share[p]) if p < P else (0, 0, 0.0)

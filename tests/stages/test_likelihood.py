@@ -78,6 +78,10 @@ def test_missing_values_say_nothing() -> None:
     add(S, [[3.0, 3.0], [np.nan, np.nan]])
     assert S[0, Q, 0] == 9.0
     assert (S[1] == 0).all()
+    add(S, [[3.0, 3.0], [np.nan, 3.0]])  # nor does a hypothesis where the log as it is says nothing
+    assert (S[1] == 0).all()
+    add(S, [[3.0, np.nan], [3.0, 3.0]])
+    assert S[0, Q].tolist() == [27.0, 18.0, 27.0]
 
 
 def test_spikes_are_held_near_the_remembered_mean() -> None:
