@@ -136,6 +136,8 @@ class Judge:
             return None
         there = samples.slice(row, 1)
         value, sd = there[SIZE + column][0], there[SIZE_SD + column][0]
+        if value is None or np.isnan(value):  # of a pair that only looks like the one that was found
+            return None
         return Magnitude(value=float(value), sd=sd, unit=self.units.get(of or fault, "1"))
 
     def _magnitudes(self, samples: Table, pair: str, row: int) -> dict[str, Magnitude]:

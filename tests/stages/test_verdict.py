@@ -80,3 +80,17 @@ def test_json_has_the_keys_that_are_documented() -> None:
 def test_onset_is_found(true_row: int) -> None:
     frame = samples(shift_from=true_row)
     assert onset(frame, true_row + 25) == pytest.approx(RATE * true_row, abs=3.0)
+
+
+def test_two_faults_have_two_sizes_where_they_are_known() -> None:
+    frame = samples(alarms=((600, 1200),)).rename(
+        {"p.gain": "p.gain+leak", "evidence.gain": "evidence.gain+leak"}
+    )
+    sizes = {"size.gain+leak.gain": 0.05, "size_sd.gain+leak.gain": 0.01, "size.gain+leak.leak": None}
+    frame = frame.with_columns(pl.lit(x, dtype=pl.Float32).alias(c) for c, x in sizes.items())
+    frame = frame.with_columns(pl.lit(None, dtype=pl.Float32).alias("size_sd.gain+leak.leak"))
+    verdict = verdict_of(frame)
+    assert (verdict.fault, verdict.signal, verdict.magnitude) == ("gain+leak", "W_HFM", None)
+    found = verdict.statistics["magnitudes"]
+    assert [*found] == ["gain"]
+    assert found["gain"]["value"] == pytest.approx(0.05)
