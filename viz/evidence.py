@@ -6,7 +6,7 @@ import numpy as np
 import polars as pl
 import rerun as rr
 
-from stages.results import Diagnosis
+from stages.results import PAIR, Diagnosis
 from viz import send
 from viz.colours import of_fault
 from viz.series import Array, break_at_gaps
@@ -37,13 +37,15 @@ def table(samples: pl.DataFrame, columns: list[str]) -> tuple[Array, Array]:
 
 
 def leading(samples: pl.DataFrame) -> list[str]:
-    """All hypotheses, those that were ever most probable first, then by their greatest evidence."""
+    """All hypotheses, those that were ever most probable first, then by their greatest evidence; of two
+    faults at once only those that were ever likely."""
     faults = dict.fromkeys(c.split(".", 1)[1] for c in samples.columns if c.startswith(("p.", "evidence.")))
 
     def weight(fault: str) -> tuple[float, float]:
         return _greatest(samples, f"p.{fault}"), _greatest(samples, f"evidence.{fault}")
 
-    return sorted(faults, key=weight, reverse=True)
+    likely = [f for f in faults if PAIR not in f or weight(f)[0] > 0.02]
+    return sorted(likely, key=weight, reverse=True)
 
 
 def _greatest(samples: pl.DataFrame, column: str) -> float:

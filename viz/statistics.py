@@ -6,7 +6,7 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from stages.results import DETECTION, EVIDENCE, Diagnosis
+from stages.results import DETECTION, EVIDENCE, PAIR, PROBABILITY, Diagnosis
 from viz.residuals import column, names, telling_rows
 from viz.series import Array, at_times
 
@@ -57,12 +57,14 @@ def regime_signature(samples: pl.DataFrame) -> tuple[list[int], list[str], Array
 
 def leads(samples: pl.DataFrame, fault: str) -> dict[str, float]:
     """How much more evidence (log-likelihood ratio, nats) ``fault`` has than each other hypothesis where its
-    own is greatest; ``none`` is the fault-free case. Empty where ``fault`` is no hypothesis."""
+    own is greatest; ``none`` is the fault-free case, pairs count where they are likely. Empty where
+    ``fault`` is no hypothesis."""
     own = EVIDENCE + fault
     if own not in samples.columns or not samples.height:
         return {}
     at = samples.row(samples[own].cast(pl.Float64).fill_nan(None).arg_max() or 0, named=True)
     others = {k.removeprefix(EVIDENCE): v for k, v in at.items() if k.startswith(EVIDENCE) and k != own}
+    others = {k: v for k, v in others.items() if PAIR not in k or (at.get(PROBABILITY + k) or 0.0) > 0.02}
     known = {"none": 0.0, **{k: float(v) for k, v in others.items() if v is not None and np.isfinite(v)}}
     return {k: float(at[own]) - v for k, v in known.items()} if at[own] is not None else {}
 
