@@ -244,6 +244,7 @@ def decide(
                 memory.evidence[f], memory.size[f], memory.size_sd[f] = evidence[f], size[f], size_sd[f]
         memory.evidence[F] = max(memory.evidence[F], evidence[F] - settings.penalty)
     holds = over or clocks[EVIDENCE] < 0.0 if clocks[ALARM] == 1 else memory.statistic[0] > 0
+    # a long time without samples confirms nothing
     clocks[HELD] = clocks[HELD] + min(elapsed, 2.0 * settings.decide) if holds else 0.0
     clocks[SINCE] += elapsed
     if clocks[HELD] >= settings.confirm:

@@ -163,14 +163,13 @@ class Pairs:
             pair: few.start(place[a], place[b], sizes[a], sizes[b]) for pair, (a, b) in self.pairs.items()
         }
         alone = max(height for _, height in few.singles)
-        likely = [
-            pair for pair in sorted(starts, key=lambda pair: -starts[pair][0]) if starts[pair][0] > alone
-        ]
-        found: dict[str, Pair] = {}
+        likely = sorted((p for p in starts if starts[p][0] > alone), key=lambda p: -starts[p][0])
+        at: dict[str, tuple[int, int, Pair]] = {}
         for pair in likely[:REFINED]:
             i, j = (place[f] for f in self.pairs[pair])
-            found[pair] = window.refined(i, j, few.refined(i, j, starts[pair][1], 8), 2)
-        at = {p: (place[self.pairs[p][0]], place[self.pairs[p][1]], x) for p, x in found.items()}
+            at[pair] = i, j, window.refined(i, j, few.refined(i, j, starts[pair][1], 8), 2)
+        if not at:
+            return {}
         familiar = window.familiar(list(at.values()), isolate.known_to)
         best = max(height for _, height in familiar.singles) + self.penalty
         return {

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
-from pipeline.commands.ingest import add_map_arguments, names_of
+from pipeline.commands.run import add_detector_arguments, chosen
 
 HELP = "replay a log causally through the stages into a live Rerun viewer"
 SPEED = 20.0
@@ -13,13 +12,7 @@ SPEED = 20.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("log", metavar="LOG", help="a log")
-    parser.add_argument("--recipe", required=True, help="a built-in recipe or a path")
-    parser.add_argument(
-        "--store", type=Path, metavar="DIR",
-        help="where detectors are kept; not needed by a recipe that can do without learning",
-    )  # fmt: skip
-    parser.add_argument("--detector", default="champion", metavar="KEY", help="default: the champion")
-    add_map_arguments(parser)
+    add_detector_arguments(parser)
     parser.add_argument(
         "--speed", type=float, metavar="X",
         help=f"times real time; default {SPEED:g}, without a viewer as fast as it goes",
@@ -34,31 +27,20 @@ def run(args: argparse.Namespace) -> int:
     from ingest.errors import DynoscopeError, LogError
     from ingest.files import find_logs, read_log
     from pipeline.console import Problems, print_json, talk
-    from pipeline.detector import check_recipe, unfitted_detector
-    from pipeline.recipe import load_recipe
     from pipeline.showing import replay_log
-    from pipeline.store import Store
     from viz.summary import headline, magnitude_text
 
     problems = Problems()
     with problems:
         if args.speed is not None and not args.speed > 0.0:
             raise DynoscopeError(f"--speed {args.speed:g}: expected more than 0")
-    with problems:
-        recipe = load_recipe(args.recipe)
-    recipe_is_right = not problems.errors
-    with problems:
-        names = names_of(args)
-    with problems:
-        store = Store(args.store) if args.store else None
-        if recipe_is_right:
-            detector = store.get(recipe.name, args.detector) if store else unfitted_detector(recipe)
-            check_recipe(detector, recipe)
+    names, detector = chosen(args, problems)
     with problems:
         paths = find_logs([args.log])
         if len(paths) != 1:
             raise LogError(f"{args.log} is {len(paths)} logs; replay takes one")
     problems.raise_any()
+    assert detector is not None
     speed = args.speed or (None if args.no_viewer else SPEED)
     log = read_log(paths[0], names)
     verdict = replay_log(log, detector, speed, viewer=not args.no_viewer, web=args.web, tell=talk).verdict

@@ -4,22 +4,51 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from pipeline.commands.ingest import add_map_arguments, names_of
+
+if TYPE_CHECKING:
+    from ingest.maps import NameMap
+    from pipeline.console import Problems
+    from pipeline.detector import Detector
 
 HELP = "diagnose logs: samples, verdict, annotated log and timeline for each, and a summary"
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("logs", nargs="+", metavar="LOG", help="files, folders, globs, @list.txt")
+def add_detector_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--recipe", required=True, help="a built-in recipe or a path")
     parser.add_argument(
         "--store", type=Path, metavar="DIR",
         help="where detectors are kept; not needed by a recipe that can do without learning",
     )  # fmt: skip
-    parser.add_argument("--out", required=True, type=Path, metavar="DIR", help="where the results go")
     parser.add_argument("--detector", default="champion", metavar="KEY", help="default: the champion")
     add_map_arguments(parser)
+
+
+def chosen(args: argparse.Namespace, problems: Problems) -> tuple[NameMap | None, Detector | None]:
+    """The name map and the detector that a call asks for; what is wrong with them goes to ``problems``."""
+    from pipeline.detector import check_recipe, unfitted_detector
+    from pipeline.recipe import load_recipe
+    from pipeline.store import Store
+
+    recipe, names, detector = None, None, None
+    with problems:
+        recipe = load_recipe(args.recipe)
+    with problems:
+        names = names_of(args)
+    with problems:
+        store = Store(args.store) if args.store else None
+        if recipe is not None:
+            detector = store.get(recipe.name, args.detector) if store else unfitted_detector(recipe)
+            check_recipe(detector, recipe)
+    return names, detector
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("logs", nargs="+", metavar="LOG", help="files, folders, globs, @list.txt")
+    add_detector_arguments(parser)
+    parser.add_argument("--out", required=True, type=Path, metavar="DIR", help="where the results go")
     parser.add_argument("--no-timeline", action="store_true", help="write no Rerun recordings")
     parser.add_argument("--no-report", action="store_true", help="write no report.html over the batch")
     parser.add_argument("--force", action="store_true", help="diagnose again what is done")
@@ -43,27 +72,16 @@ def run(args: argparse.Namespace) -> int:
     from pipeline import batch
     from pipeline.cache import default_folder
     from pipeline.console import Problems, print_json, print_table, progress, talk
-    from pipeline.detector import check_recipe, unfitted_detector
-    from pipeline.recipe import load_recipe
-    from pipeline.store import Store
 
     problems = Problems()
     with problems:
         if args.workers < 1:
             raise DynoscopeError(f"--workers {args.workers}: expected 1 or more")
-    with problems:
-        recipe = load_recipe(args.recipe)
-    recipe_is_right = not problems.errors
-    with problems:
-        names = names_of(args)
-    with problems:
-        store = Store(args.store) if args.store else None
-        if recipe_is_right:
-            detector = store.get(recipe.name, args.detector) if store else unfitted_detector(recipe)
-            check_recipe(detector, recipe)
+    names, detector = chosen(args, problems)
     with problems:
         paths = find_logs(args.logs, remote=True)
     problems.raise_any()
+    assert detector is not None
     options = batch.Options(
         timeline=not args.no_timeline, force=args.force, only_failed=args.only_failed, name_map=names,
         workers=args.workers, scheduler=args.scheduler,
