@@ -1,4 +1,5 @@
-"""For all tests. Property-based ones have no deadline: how fast a machine is says nothing about the code."""
+"""For all tests. Property-based ones try the same examples in every run, others by
+``--hypothesis-profile=explore``, and have no deadline: how fast a machine is says nothing about the code."""
 
 from __future__ import annotations
 
@@ -15,7 +16,8 @@ from typing import Any
 import pytest
 from hypothesis import settings
 
-settings.register_profile("dynoscope", deadline=None)
+settings.register_profile("dynoscope", deadline=None, derandomize=True)
+settings.register_profile("explore", deadline=None, max_examples=300)
 settings.load_profile("dynoscope")
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
