@@ -56,8 +56,8 @@ def _models(stage: Stage, selected: set[str]) -> Iterator[Model]:
 
 
 def _indicators(stage: Monitor) -> Iterator[tuple[str, str]]:
-    yield f"tau_{stage.sensor}", "time constant of the sensor"
-    yield f"k_{stage.sensor}", "gain of the sensor"
-    yield f"k_{stage.plant}", "gain of the plant"
-    for i in range(1, stage.plant_order + 1):
-        yield f"a{i}", f"coefficient of s^{stage.plant_order - i} in the plant's denominator"
+    lag = "time constant of the sensor" if stage.sensor_order == 1 else "sum of the sensor's lags"
+    words = [lag, "gain of the sensor", "gain of the plant"]
+    powers = reversed(range(stage.plant_order))
+    words += (f"coefficient of s^{power} in the plant's denominator" for power in powers)
+    yield from zip(stage.indicators, words, strict=True)

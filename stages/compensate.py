@@ -66,7 +66,8 @@ class Compensate:
 
     @property
     def needs(self) -> set[str]:
-        tau = {kind + f"tau_{self.sensor}" for kind in (INDICATOR, SIGMA, Z)}
+        dynamic = "time_constant" in self.faults.values()
+        tau = {kind + f"tau_{self.sensor}" for kind in (INDICATOR, SIGMA, Z) if dynamic}
         return {NOISE} | tau | {kind + f for f in self.faults for kind in (PROBABILITY, SIZE, SIZE_SD, RATE)}
 
     @property

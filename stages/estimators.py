@@ -118,7 +118,7 @@ class Innovations:
         where tau has jumped: then that may be a wrong minimum."""
         last = memory.parameters
         held = np.zeros(last.size)
-        held[: structure.plant_order + 2 + structure.zeros] = self.walk**-2
+        held[: structure.held] = self.walk**-2
         fits = [fit(structure, u, y, last, last, np.diag(held), state)]
         jumped = abs(fits[0].p[0] - last[0]) > JUMP * np.sqrt(fits[0].covariance[0, 0])
         for p in self.start.starts(structure, u, y, last):

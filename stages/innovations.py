@@ -1,13 +1,13 @@
-"""Prediction-error fit of a plant and its first-order sensor, as one innovations form with structure.
+"""Prediction-error fit of a plant and its sensor, as one innovations form with structure.
 
 With ``w_n`` of :mod:`stages.structure` white and ``w_p`` (held) white or an AR(1) with pole phi, the noise is
-C(q) / [(q - a) (q - phi)] e, a = exp(-dt / tau), so that the sensor's time constant acts twice: on the way
-from u, and as the colour of the noise. C = q + gamma_1, or q^2 + gamma_1 q + gamma_2 with a phi, carries the
-share of w_n, which (3.12) leaves out. Matching the spectra of both descriptions at the longest lag and at
-rest gives, with var e = s2,
+C(q) / A(q) e, A = 1 + alpha_1 / q + ... + alpha_M / q^M with the sensor's poles and phi, so that the sensor's
+time constant acts twice: on the way from u, and as the colour of the noise. C = 1 + gamma_1 / q + ... +
+gamma_M / q^M carries the share of w_n, which (3.12) leaves out. For a first-order sensor and white w_p, A =
+1 - a / q, a = exp(-dt / tau). Matching the spectra of both descriptions at the longest lag and at rest gives,
+with var e = s2 and A_s of the sensor alone,
 
-    var w_n = -gamma_1 s2 / a  or  gamma_2 s2 / (a phi),
-    (k_s sd)^2 = [s2 C(1)^2 - var w_n (1 - a)^2 (1 - phi)^2] / (1 - a)^2,
+    var w_n = gamma_M s2 / alpha_M,        (k_s sd)^2 = [s2 C(1)^2 - var w_n A(1)^2] / A_s(1)^2,
 
 sd being std(w_p) or that of its innovations. This is (3.13) repaired: a gain that neither tau nor w_n
 changes. Gauss-Newton with Levenberg's damping over the structure's p.
@@ -25,12 +25,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.structure import Structure, unpack
+from stages.structure import Structure, coloured, sensor_polynomial, unpack
 
 Array = NDArray[np.float64]
 STEPS = 12
 TOLERANCE = 0.03  # of minus twice the log-likelihood: a sixth of a standard deviation before the last step
 LEAST_LAG = 0.05  # samples
+INSIDE = 0.98  # where the zeros of C may be
 LARGEST_STEP = 2.0  # of a parameter, most of which are logarithms
 
 
@@ -50,36 +51,39 @@ class Fit:
     dt: float
     plant_order: int
     zeros: int = 0
+    sensor_order: int = 1
     colour: float = 0.0
 
     @cached_property
     def noise(self) -> tuple[float, float]:
         """``k_s`` times the spread of w_p, and ``std(w_n)``, in the output's unit; 0 where a square is not
         positive."""
-        gamma = self.p[self.plant_order + 2 + self.zeros :]
-        k2, n2 = _noise(self.p[0], gamma, self.variance, self.dt, self.colour)
+        k2, n2 = self._noise(np.append(self.p, np.log(self.variance)))
         return float(np.sqrt(max(k2, 0.0))), float(np.sqrt(max(n2, 0.0)))
+
+    def _noise(self, z: Array) -> tuple[float, float]:
+        """The variances at other parameters and ln(var e)."""
+        tau, *_, r, gamma = unpack(z[:-1], self.plant_order, self.zeros, self.sensor_order)
+        return noise_of(tau, r, gamma, float(np.exp(z[-1])), self.dt, self.colour)
 
     @cached_property
     def indicators(self) -> tuple[Array, Array, Array]:
         """Logarithms of tau, k_s times the spread of w_p, k_p = b / that, a_1 ... a_n, and to first order
         their covariance and that where nothing drifts."""
         n = self.plant_order
-        tau, b, a_i, _, gamma = unpack(self.p, n, self.zeros)
+        tau, b, a_i, *_ = unpack(self.p, n, self.zeros, self.sensor_order)
         k = max(self.noise[0], 1e-300)
         x = np.log(np.concatenate([[tau, k, b / k], a_i]))
-        z = np.concatenate([self.p[:1], gamma, [np.log(self.variance)]])
+        z = np.append(self.p, np.log(self.variance))
 
         def log_gain(z: Array) -> float:
-            return 0.5 * float(
-                np.log(max(_noise(z[0], z[1:-1], np.exp(z[-1]), self.dt, self.colour)[0], 1e-300))
-            )
+            return 0.5 * float(np.log(max(self._noise(z)[0], 1e-300)))
 
-        steps = 1e-5 * np.eye(z.size)
-        slope = np.array([(log_gain(z + h) - log_gain(z - h)) / 2e-5 for h in steps])
-        J = np.zeros((n + 3, self.p.size + 1))  # last column: d / d ln(var e)
+        J = np.zeros((n + 3, z.size))  # last column: d / d ln(var e)
         J[0, 0] = 1.0
-        J[1, 0], J[1, n + 2 + self.zeros :] = slope[0], slope[1:]
+        for i in (0, *range(n + 2 + self.zeros, z.size)):  # neither b, a_i nor z
+            h = 1e-5 * np.eye(z.size)[i]
+            J[1, i] = (log_gain(z + h) - log_gain(z - h)) / 2e-5
         J[2, 1:3] = 1.0
         J[2] -= J[1]
         J[3:, 2 : n + 2] = np.tril(np.ones((n, n)))
@@ -88,21 +92,23 @@ class Fit:
         return x, J @ self.covariance @ J.T + own, J @ self.still @ J.T + own
 
 
-def _noise(log_tau: float, gamma: Array, variance: float, dt: float, phi: float) -> tuple[float, float]:
+def noise_of(
+    tau: float, r: float, gamma: Array, variance: float, dt: float, colour: float
+) -> tuple[float, float]:
     """Variances ``(k_s sd)^2`` and ``var w_n`` of the description by two sources."""
-    a = np.exp(-dt / np.exp(log_tau))
-    measured = -gamma[0] * variance / a if gamma.size == 1 else gamma[1] * variance / (a * phi)
-    at_rest = variance * (1.0 + gamma.sum()) ** 2 - measured * ((1.0 - a) * (1.0 - phi)) ** 2
-    return float(at_rest / (1.0 - a) ** 2), float(measured)
+    alone, _ = sensor_polynomial(dt / tau, r)
+    alpha = coloured(alone, colour)
+    measured = gamma[-1] * variance / alpha[-1]
+    at_rest = variance * (1.0 + gamma.sum()) ** 2 - measured * (1.0 + alpha.sum()) ** 2
+    return float(at_rest / (1.0 + alone.sum()) ** 2), float(measured)
 
 
 def _possible(structure: Structure, p: Array) -> bool:
     """C has its zeros inside the unit circle, there is process disturbance, and the sensor lags at all."""
-    gamma = p[structure.plant_order + structure.zeros + 2 :]
-    inside = abs(gamma[-1]) < 0.98 and (gamma.size == 1 or abs(gamma[0]) < 0.98 * (1.0 + gamma[1]))
-    if not (inside and np.exp(p[0]) > LEAST_LAG * structure.dt):
+    tau, *_, r, gamma = unpack(p, structure.plant_order, structure.zeros, structure.sensor_order)
+    if not (np.abs(np.roots([1.0, *gamma])).max(initial=0.0) < INSIDE and tau > LEAST_LAG * structure.dt):
         return False
-    return _noise(p[0], gamma, 1.0, structure.dt, structure.colour)[0] > 0.0
+    return noise_of(tau, r, gamma, 1.0, structure.dt, structure.colour)[0] > 0.0
 
 
 def loss(structure: Structure, p: Array, u: Array, y: Array) -> float:
@@ -126,15 +132,15 @@ def fit(
 
     ``state``: that after the window before, if there is one. The covariance is computed from there: a state
     fitted to noise decays like a plant and would seem to tell of its poles where nothing excites it."""
-    k, n = start.size, structure.plant_order
+    k, states = start.size, structure.plant_order + structure.sensor_order
     expected, known = structure.expected
-    fixed = n + 3  # of w, what is carried on from step to step; the rest is linear
+    fixed = states + 2  # of w, what is carried on from step to step; the rest is linear
     p, w = start, expected.copy()
-    G, end = structure.gram(p, w, u, y)
     if state is None:
-        w[: n + 1] += _solve(G[k:-1, k:-1], G[k:-1, -1])[: n + 1]
+        G, _ = structure.gram(p, w, u, y)
+        w[:states] += _solve(G[k:-1, k:-1], G[k:-1, -1])[:states]
     else:
-        w[: n + 1] = state
+        w[:states] = state
     G, end = structure.gram(p, w, u, y)
     v, now = _profile(G, k, known, w - expected, u.size)
     now += float((p - mean) @ information @ (p - mean))
@@ -163,16 +169,17 @@ def fit(
         if gained < TOLERANCE:
             break
     if state is not None:
-        G, _ = structure.gram(p, np.concatenate([state, w[n + 1 :]]), u, y)
+        G, _ = structure.gram(p, np.concatenate([state, w[states:]]), u, y)
     H = G[:-1, :-1] / v
     H[:k, :k] += information
     H[np.arange(k, len(H)), np.arange(k, len(H))] += known
     off = np.zeros_like(known)
-    off[n + 2] = structure.input_drift_error**2
+    off[states + 1] = structure.input_drift_error**2
     covariance, still = _covariances(H, k, known * (1.0 - known * off))
     return Fit(
         p=p, covariance=covariance, still=still, variance=v, state=end, loss=now, samples=u.size,
-        dt=structure.dt, plant_order=n, zeros=structure.zeros, colour=structure.colour,
+        dt=structure.dt, plant_order=structure.plant_order, zeros=structure.zeros,
+        sensor_order=structure.sensor_order, colour=structure.colour,
     )  # fmt: skip
 
 

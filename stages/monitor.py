@@ -66,7 +66,9 @@ class Monitor:
 
     ``faults`` maps a fault to the factors by which it changes indicators, see
     :class:`stages.templates.Template`. ``plant_zeros``: how many zeros the plant has; they are estimated
-    along. ``drifting``: coefficients a_i that may drift inside a window.
+    along. ``sensor_order``: 1, or 2 for a sensor of two lags or one that rings; then the first indicator is
+    ``lag_<sensor>``, the sum of its lags, and their ratio is estimated along. ``drifting``: coefficients a_i
+    that may drift inside a window.
     ``floor``: changes smaller than this are not told from the model's own imperfection. ``step_s``: from one
     window's start to the next; 0: they adjoin. ``estimator = "printed"``: Chapter III as printed, to compare.
 
@@ -86,6 +88,7 @@ class Monitor:
     plant_order: int
     faults: Mapping[str, Mapping[str, str]]
     plant_zeros: int = 0
+    sensor_order: int = 1
     drifting: tuple[int, ...] = ()
     window_s: float = 1.0
     step_s: float = 0.0
@@ -107,6 +110,10 @@ class Monitor:
             f"plant_order = {self.plant_order} must be at least 1": self.plant_order >= 1,
             f"plant_zeros = {self.plant_zeros} must be 0 or more, and fewer than plant_order": (
                 0 <= self.plant_zeros < max(self.plant_order, 1)
+            ),
+            f"sensor_order = {self.sensor_order} must be 1 or 2": self.sensor_order in (1, 2),
+            "estimator = 'printed' knows a sensor of first order only": (
+                self.estimator != "printed" or self.sensor_order == 1
             ),
             f"rate_hz = {self.rate_hz:g} must be positive": self.rate_hz > 0.0,
             f"reference_s = {self.reference_s:g} must be at least {LEAST_WINDOWS} windows": (
@@ -131,7 +138,8 @@ class Monitor:
     @cached_property
     def indicators(self) -> tuple[str, ...]:
         coefficients = (f"a{i}" for i in range(1, self.plant_order + 1))
-        return (f"tau_{self.sensor}", f"k_{self.sensor}", f"k_{self.plant}", *coefficients)
+        delay = {1: "tau_", 2: "lag_"}[self.sensor_order]
+        return (f"{delay}{self.sensor}", f"k_{self.sensor}", f"k_{self.plant}", *coefficients)
 
     @cached_property
     def _decision(self) -> Decision:
@@ -154,6 +162,7 @@ class Monitor:
         structure = Structure(
             plant_order=self.plant_order,
             zeros=self.plant_zeros,
+            sensor_order=self.sensor_order,
             dt=1.0 / self.rate_hz,
             drifting=self.drifting,
         )

@@ -12,7 +12,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import welch
 from threadpoolctl import threadpool_limits
 
 from stages.blended import fit_blended
@@ -36,6 +35,8 @@ def portrait(
     seed: int = 0,
 ) -> Chosen:
     """The portrait of a ``selection`` from ``segments``, stretches without gaps of columns ``names``."""
+    from scipy.signal import welch  # slow to import, and detectors without a selection do without it
+
     space, found = selection.space, selection.found
     lagged = lagged_rows(segments, names, output, space)
     sample = lagged.sample(ROWS, seed)

@@ -21,6 +21,7 @@ from stages.subspace import identify, lag_gram
 Array = NDArray[np.float64]
 SEPARATION = 1.5  # a candidate sensor is this much faster than the plant's fastest pole
 CUTOFF = 0.8  # of the decimated Nyquist frequency
+SHAPE = 0.2  # r of a sensor with two lags, 0.28 and 0.72 of their sum
 TAPS = 20  # of the low-pass filter, for each sample of the decimated signal
 
 
@@ -76,8 +77,9 @@ class TwoRate:
             return []
         b, a_i, z, fastest = found
         if last is not None:
-            gamma = last[structure.plant_order + 2 + structure.zeros :]
-            return [pack(float(np.exp(last[0])), b, a_i, np.append(z, gamma))]
+            rest = last[structure.plant_order + 2 + structure.zeros :]
+            return [pack(float(np.exp(last[0])), b, a_i, np.append(z, rest))]
         candidates = structure.dt * 2.0 ** np.arange(-1, 8)
-        rest = np.append(z, np.zeros(structure.noise_order))
+        shape = [np.log(SHAPE)] * (structure.sensor_order - 1)
+        rest = np.concatenate([z, shape, np.zeros(structure.noise_order)])
         return [pack(float(tau), b, a_i, rest) for tau in candidates if tau * fastest < 1.0 / SEPARATION]

@@ -175,9 +175,10 @@ def test_a_window_at_rest_keeps_the_prior_and_says_so() -> None:
 
 
 def test_pack_and_unpack() -> None:
-    tau, b, a_i, z, gamma = unpack(TRUTH, 3)
+    tau, b, a_i, z, r, gamma = unpack(TRUTH, 3)
     np.testing.assert_allclose(pack(tau, b, a_i, np.append(z, gamma)), TRUTH)
     assert z.size == 0
+    assert r == 0.0
     np.testing.assert_allclose([tau, b, *a_i], [P.tau_TPS, B * P.k_TPS, *A_I], rtol=1e-9)
 
 
