@@ -5,7 +5,8 @@
 Part 1: a log of 40 signals x 2 million rows (10 kHz, 200 s, noise on waves, an event) as its recording:
 bytes, seconds to write, to open, until the first tab's picture no longer changes, then those of all tabs;
 drawn by Mesa's software Vulkan driver.
-Part 2: bytes a value of a recording that keeps every value, by the number of signals that share a plot.
+Part 2: bytes a value of a recording that keeps every value, one signal to a plot: a simulated drive with its
+truth, noise of 32 and of 64 bits; without the layout, whose size does not depend on the log's length.
 Part 3: an hour of recipe `diesel_airpath` with its run: recording and report, bytes and seconds, beside
 the time that reading and diagnosing it take in the same process.
 
@@ -50,7 +51,7 @@ def line(name: str, value: float, limit: float | None = None) -> None:
     said = (
         "" if limit is None else f"   wanted at most {limit:g}{'' if value <= limit else ': DOES NOT HOLD'}"
     )
-    print(f"  {name:36} {value:10.3g}{said}", flush=True)
+    print(f"  {name:44} {value:10.3g}{said}", flush=True)
 
 
 def part_1(folder: Path, rows: int, signals: int) -> None:
@@ -72,15 +73,28 @@ def part_1(folder: Path, rows: int, signals: int) -> None:
 
 
 def part_2(folder: Path) -> None:
-    rows = 20_000
-    print(f"2. every value kept, {rows} rows")
-    for shared in (1, 4, 8):
-        log, path = wide(rows, 24), folder / "full.rrd"
+    from ingest.simulators.airpath import simulate_airpath
+
+    rows = 50_000
+    print(f"2. every value kept, one signal to a plot, {rows} rows; a drive of 1370 s")
+    logs = {"a simulated drive": simulate_airpath(cycle="udds", seed=1)}
+    for signals, kind in ((14, pl.Float32), (14, pl.Float64), (16, pl.Float64), (40, pl.Float64)):
+        log = wide(rows, signals)
         (group,) = log.groups.values()
-        units = {n: Signal(name=n, unit=f"u{i // shared}") for i, n in enumerate(group.signals)}
-        write_log_timeline(replace(log, groups={"fast": replace(group, signals=units)}), path)
-        size = path.stat().st_size / (rows * 24)
-        line(f"bytes a value, {shared} to a plot", size, LIMITS["bytes a value"])
+        frame = group.frame.with_columns(pl.exclude("time").cast(kind))
+        units = {n: Signal(name=n, unit=n) for n in group.signals}
+        logs[f"{signals} signals of noise, {kind()}"] = replace(
+            log, groups={"fast": Group("fast", frame, units)}
+        )
+    for name, log in logs.items():
+        short = replace(log, groups={k: replace(g, frame=g.frame.head(2)) for k, g in log.groups.items()})
+        sizes = []
+        for one in (log, short):
+            write_log_timeline(one, folder / "full.rrd")
+            sizes.append((folder / "full.rrd").stat().st_size)
+        values = sum(g.frame.height * len(g.signals) for g in log.groups.values())
+        line(f"bytes a value, {name}", (sizes[0] - sizes[1]) / values, LIMITS["bytes a value"])
+        line("kB of its layout", sizes[1] / 1e3)
 
 
 def part_3(folder: Path) -> None:

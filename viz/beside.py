@@ -17,9 +17,9 @@ from viz import send
 from viz.colours import GREY, ORANGE, SKY_BLUE, of_fault, of_index
 from viz.lanes import diagnosed, truth
 from viz.layout import KEY_SIGNALS, WholeRange, heights, lane_view, plot, signal_range
+from viz.raster import curves
 from viz.residuals import WIDTH, column, names
 from viz.series import Array, break_at_gaps, lane
-from viz.signals import curves
 from viz.summary import headline, magnitude_text, probabilities, table
 from viz.timeline import checked_span, write_recording
 

@@ -241,7 +241,10 @@ def _plane_view(path: str, title: str, x: tuple[float, float], y: tuple[float, f
 
 
 def _signal_view(panel: Panel) -> rrb.TimeSeriesView:
-    return plot(panel.title, panel.entities, panel.range, legend=len(panel.signals) > 1)
+    drawn: dict[str, list[Any]] = {}
+    for line in panel.lines:
+        drawn.setdefault(line.entity, []).append(line.visualizer())
+    return plot(panel.title, drawn, panel.range, legend=len(panel.lines) > 1, drawn=drawn)
 
 
 def _residual_view(residual: Residual, lanes: Sequence[str], legend: bool = False) -> rrb.TimeSeriesView:
@@ -254,8 +257,14 @@ def _residual_view(residual: Residual, lanes: Sequence[str], legend: bool = Fals
 
 
 def plot(
-    name: str, paths: Iterable[str], range_: tuple[float, float] | None = None, *, legend: bool = True
+    name: str,
+    paths: Iterable[str],
+    range_: tuple[float, float] | None = None,
+    *,
+    legend: bool = True,
+    drawn: dict[Any, Any] | None = None,
 ) -> rrb.TimeSeriesView:
+    """A plot of the entities ``paths``, drawn as they say of themselves or as ``drawn`` has it."""
     return rrb.TimeSeriesView(
         origin="/",
         contents=[f"+ {path}" for path in paths],
@@ -263,6 +272,7 @@ def plot(
         axis_x=rrb.TimeAxis(link="LinkToGlobal"),
         axis_y=rrb.ScalarAxis(range=range_) if range_ else None,
         plot_legend=rrb.PlotLegend(corner="LeftTop", visible=legend),
+        overrides=drawn,
     )
 
 

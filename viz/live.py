@@ -20,9 +20,9 @@ from viz.lanes import ALARM, DIAGNOSED, INJECTED, REGIME, diagnosed, held, regim
 from viz.layout import KEY_SIGNALS, WholeRange, fault_lanes, heights, map_view, plot, signal_range
 from viz.operating_map import MAP, log_cursor, log_regions
 from viz.plane import Axes, frame
+from viz.raster import curves
 from viz.residuals import WIDTH, column, names
 from viz.series import Array, at_times, changes
-from viz.signals import curves
 from viz.summary import WORDS, headline, summary
 
 SIGNALS, RESIDUALS = 3, 3

@@ -10,8 +10,9 @@ import numpy as np
 import polars as pl
 
 from ingest.log import TIME, Group, Log
+from viz.raster import in_order
 from viz.series import changes, envelope
-from viz.signals import ENVELOPE_POINTS, in_order
+from viz.signals import ENVELOPE_POINTS
 
 STATES = " states"
 """Appended to a group's name for its text: rows at which one of its states changes."""

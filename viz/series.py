@@ -60,23 +60,43 @@ def envelope(time: Array, values: Array, points: int) -> tuple[Array, Array]:
     Peaks keep their height and stay in their bucket. Rows without any value get buckets of their own, so
     breaks stay breaks. Shapes (n,), (n, k) -> (m,), (m, k), m near ``points``; short series pass unchanged.
     """
-    n = time.size
-    if n <= points:
+    if time.size <= points:
         return time, values
-    width = -(-2 * n // points)
-    empty = np.asarray(np.isnan(values).all(axis=1))
-    starts = np.union1d(np.arange(0, n, width), changes(empty))
-    ends = np.append(starts[1:], n) - 1
+    starts = buckets(np.asarray(np.isnan(values).all(axis=1)), points)
+    lines = [extremes(column, starts) for column in values.T]
+    return time[bucket_rows(starts, time.size)], np.stack(lines, axis=1)
+
+
+def buckets(empty: NDArray[np.bool_], points: int) -> NDArray[np.intp]:
+    """First rows of about ``points / 2`` buckets, and of each stretch of rows that are ``empty`` or not."""
+    width = -(-2 * empty.size // points)
+    return np.union1d(np.arange(0, empty.size, width), changes(empty))
+
+
+def bucket_rows(starts: NDArray[np.intp], rows: int) -> NDArray[np.intp]:
+    """First and last row of each bucket, once where they are one, shape (m,)."""
+    ends = np.append(starts[1:], rows) - 1
+    return np.stack([starts, ends], axis=1).ravel()[_kept(starts, ends)]
+
+
+def extremes(values: Array, starts: NDArray[np.intp]) -> Array:
+    """Least and greatest of ``values``, shape (n,), in each bucket in their order of appearance, at
+    :func:`bucket_rows`, shape (m,)."""
+    ends = np.append(starts[1:], values.size) - 1
     low, high = np.fmin.reduceat(values, starts), np.fmax.reduceat(values, starts)
-    bucket = np.repeat(np.arange(starts.size), ends - starts + 1)
-    row = np.arange(n)[:, None]
-    first_low = np.minimum.reduceat(np.where(values == low[bucket], row, n), starts)
-    first_high = np.minimum.reduceat(np.where(values == high[bucket], row, n), starts)
-    rising = first_low <= first_high
+    rising = _first(values, low, starts, ends) <= _first(values, high, starts, ends)
     pairs = np.stack([np.where(rising, low, high), np.where(rising, high, low)], axis=1)
-    times = np.stack([time[starts], time[ends]], axis=1)
-    keep = np.stack([np.ones_like(starts, dtype=bool), ends > starts], axis=1).ravel()
-    return times.ravel()[keep], pairs.reshape(-1, values.shape[1])[keep]
+    return np.asarray(pairs.ravel()[_kept(starts, ends)])
+
+
+def _first(values: Array, sought: Array, starts: NDArray[np.intp], ends: NDArray[np.intp]) -> NDArray[Any]:
+    """The first row of each bucket that holds what is ``sought`` there."""
+    rows = np.flatnonzero(values == np.repeat(sought, ends - starts + 1))
+    return np.append(rows, values.size)[np.searchsorted(rows, starts)]
+
+
+def _kept(starts: NDArray[np.intp], ends: NDArray[np.intp]) -> NDArray[np.bool_]:
+    return np.stack([np.ones_like(starts, dtype=bool), ends > starts], axis=1).ravel()
 
 
 def changes(states: NDArray[Any]) -> NDArray[np.intp]:

@@ -5,23 +5,22 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 import polars as pl
 import rerun as rr
-from numpy.typing import NDArray
 
 from ingest.log import Group, Log
 from viz import send
 from viz.colours import of_index
-from viz.series import Array, break_at_gaps, envelope, lane, limits, union, usual_step
+from viz.raster import Raster, Reduction, in_order
+from viz.series import lane, limits, union, usual_step
 
 BYTES = 20e6
 """Of all signals' lines in a recording: what a viewer opens and draws at once. Longer ones are drawn as their
 envelopes, with every value about the moments that matter."""
-ROW_BYTES, VALUE_BYTES = 15.0, 8.4
-"""Of a row of a plot and of a value in it, measured."""
+ROW_BYTES = 14.5
+"""Of a row without its values, measured; a value takes its 4 or 8 and next to nothing more."""
 ENVELOPE_POINTS, FEWEST = 50_000, 4_000
 DETAIL = 0.25
 """Share of the bytes that is kept for the moments."""
@@ -33,13 +32,17 @@ MARGIN = 0.05
 
 @dataclass(frozen=True, kw_only=True)
 class Panel:
-    """One plot: signals of one unit, in one entity per group."""
+    """One plot: signals of one unit and about one size."""
 
     title: str
-    signals: tuple[str, ...]
-    entities: tuple[str, ...]
+    lines: tuple[send.Line, ...]
     range: tuple[float, float]
     """A little more than round limits around all values, so that the scale has ticks."""
+
+    @property
+    def signals(self) -> tuple[str, ...]:
+        """The signals' names."""
+        return tuple(line.name for line in self.lines)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,23 +56,25 @@ class LogContents:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Reduction:
-    """How a long group is drawn: as an envelope of about ``points`` points, and as it is inside ``windows``
-    (s)."""
+class _Drawn:
+    """Where a signal is in the recording, and its least and greatest value."""
 
-    points: int
-    windows: tuple[tuple[float, float], ...] = ()
+    entity: str
+    field: str
+    low: float
+    high: float
 
 
 def log_signals(rec: rr.RecordingStream, log: Log, moments: Sequence[float] = ()) -> LogContents:
     """All signals of ``log`` below ``/signals`` and ``/states``; ``moments`` (s) are drawn in detail where a
     log is too long for that throughout."""
-    plots = _plots(log)
-    reduced = reductions(log, plots, moments)
-    panels = [_log_panel(rec, log, names, reduced) for names in plots]
+    reduced = reductions(log, moments)
+    drawn: dict[str, _Drawn] = {}
+    for key, group in log.groups.items():
+        drawn |= _log_group(rec, key, group, reduced.get(key))
     text = [n for n, g in _each(log) if _is_text(g, n)]
     return LogContents(
-        panels=tuple(panels),
+        panels=tuple(_panel(log, names, drawn) for names in _plots(log)),
         lanes=tuple(_log_lane(rec, log.group_of(name), name) for name in text),
         remarks=(
             *(f"{n}: neither number nor text, not drawn" for n, g in _each(log) if not _is_drawn(g, n)),
@@ -78,18 +83,9 @@ def log_signals(rec: rr.RecordingStream, log: Log, moments: Sequence[float] = ()
     )
 
 
-def reductions(
-    log: Log, plots: Sequence[Sequence[str]], moments: Sequence[float] = ()
-) -> dict[str, Reduction]:
+def reductions(log: Log, moments: Sequence[float] = ()) -> dict[str, Reduction]:
     """How the groups are drawn that are too long to be drawn as they are, so that all fit into ``BYTES``."""
-    cost = {
-        key: sum(
-            ROW_BYTES + VALUE_BYTES * len(shown)
-            for names in plots
-            if (shown := [n for n in names if n in group.signals])
-        )
-        for key, group in log.groups.items()
-    }
+    cost = {key: _row_bytes(group) for key, group in log.groups.items()}
     rows = {key: group.frame.height for key, group in log.groups.items()}
 
     def needed(points: float) -> float:
@@ -107,6 +103,16 @@ def reductions(
     }
 
 
+def _row_bytes(group: Group) -> float:
+    schema = group.frame.schema
+    sizes = [4.0 if schema[n] == pl.Float32 else 8.0 for n in _numbers(group)]
+    return ROW_BYTES + sum(sizes) if sizes else 0.0
+
+
+def _numbers(group: Group) -> list[str]:
+    return [name for name in group.signals if _is_number(group, name)]
+
+
 def _windows(group: Group, moments: Sequence[float], count: int) -> tuple[tuple[float, float], ...]:
     """Stretches of about ``count`` rows around each of the moments."""
     half = 0.5 * count * usual_step(group.time)
@@ -119,13 +125,6 @@ def _reduced(group: Group, how: Reduction) -> str:
         return words
     spans = ", ".join(f"{a:.4g} to {b:.4g} s" for a, b in how.windows[:4])
     return f"{words}; every value from {spans}" + (" …" if len(how.windows) > 4 else "")
-
-
-def in_order(group: Group) -> tuple[Array, NDArray[np.intp]]:
-    """Rising time stamps of a group and the rows they come from; what is not finite is left out."""
-    rows = np.argsort(group.time, kind="stable")
-    rows = rows[np.isfinite(group.time[rows])]
-    return group.time[rows], rows
 
 
 def _each(log: Log) -> list[tuple[str, Group]]:
@@ -186,51 +185,36 @@ def _of_one_size(sizes: Mapping[str, float]) -> list[list[str]]:
     return plots
 
 
-def _log_panel(
-    rec: rr.RecordingStream, log: Log, names: list[str], reduced: Mapping[str, Reduction]
-) -> Panel:
+def _log_group(rec: rr.RecordingStream, key: str, group: Group, how: Reduction | None) -> dict[str, _Drawn]:
+    """All numbers of a group as one entity, whose rows they share."""
+    if not (names := _numbers(group)):
+        return {}
+    path, raster = send.entity("signals", key), Raster(group, names, how)
+    fields = send.field_names(names)
+    columns = {field: raster.values(name) for name, field in zip(names, fields, strict=True)}
+    send.rows(rec, path, raster.time, columns)
+    drawn = {}
+    for name, (field, values) in zip(names, columns.items(), strict=True):
+        known = values[np.isfinite(values)]
+        low, high = (float(known.min()), float(known.max())) if known.size else (np.inf, -np.inf)
+        drawn[name] = _Drawn(entity=path, field=field, low=low, high=high)
+    return drawn
+
+
+def _panel(log: Log, names: list[str], drawn: Mapping[str, _Drawn]) -> Panel:
     unit = log.signals[names[0]].unit
-    by_group: dict[str, list[str]] = defaultdict(list)
-    for key, group in log.groups.items():
-        by_group[key] += [name for name in names if name in group.signals]
-    entities, extremes = [], []
-    for key, members in by_group.items():
-        if members:
-            entities.append(send.entity("signals", key, f"{members[0]} [{unit or '?'}]"))
-            colours = [of_index(names.index(name)) for name in members]
-            time, values = curves(log.groups[key], members, reduced.get(key))
-            send.lines(rec, entities[-1], time, values, names=members, colours=colours)
-            extremes += [
-                f(values[np.isfinite(values)]) for f in (np.min, np.max) if np.isfinite(values).any()
-            ]
-    low, high = limits(min(extremes, default=0.0), max(extremes, default=1.0))
+    low, high = min(drawn[n].low for n in names), max(drawn[n].high for n in names)
+    low, high = limits(low, high) if low <= high else (0.0, 1.0)
     margin = MARGIN * (high - low)
     shown = ", ".join(names) if len(names) <= 4 else f"{', '.join(names[:3])} … ({len(names)})"
     return Panel(
         title=f"{shown} [{unit or 'unit unknown'}]",
-        signals=tuple(names),
-        entities=tuple(entities),
+        lines=tuple(
+            send.Line(entity=drawn[n].entity, field=drawn[n].field, name=n, colour=of_index(i))
+            for i, n in enumerate(names)
+        ),
         range=(low - margin, high + margin),
     )
-
-
-def curves(group: Group, names: list[str], how: Reduction | None = None) -> tuple[Array, Array]:
-    """Time stamps (m,) and values (m, k) to draw: in order, broken at gaps, reduced as ``how`` says."""
-    time, rows = in_order(group)
-    columns = group.frame.select(pl.col(name).cast(pl.Float64).fill_null(float("nan")) for name in names)
-    values = send.flat(columns.to_numpy())[rows]
-    time, values = break_at_gaps(time, values)
-    if how is None or time.size <= how.points:
-        return time, values
-    edges = [0, *np.searchsorted(time, np.array(how.windows).ravel()).tolist(), time.size]
-    parts = []
-    for i, (start, end) in enumerate(pairwise(edges)):
-        part = time[start:end], values[start:end]
-        outside = i % 2 == 0
-        parts.append(
-            envelope(*part, max(2, round(how.points * (end - start) / time.size))) if outside else part
-        )
-    return np.concatenate([t for t, _ in parts]), np.concatenate([v for _, v in parts])
 
 
 def _log_lane(rec: rr.RecordingStream, group: Group, name: str) -> str:

@@ -6,6 +6,7 @@ import json
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -152,19 +153,20 @@ def test_a_log_in_parts_has_its_timeline(
     path = in_parts_of(faulty, 3000, tmp_path / "faulty.parquet")
     run([path], detector, tmp_path / "out", Options(timeline=True))
     folder = tmp_path / "out" / "faulty"
-    drawn: dict[str, list[list[float]]] = {}
+    drawn: dict[str, list[list[Any]]] = {}
     entities = set()
     for chunk in RrdReader(folder / "timeline.rrd").stream():
         batch = chunk.to_record_batch()
         name = str(chunk.entity_path).replace("\\", "")
         entities.add(name)
-        if not chunk.is_static and "Scalars:scalars" in batch.schema.names:
-            drawn.setdefault(name, []).extend(batch["Scalars:scalars"].to_pylist())
-    (pressures,) = (np.array(v) for k, v in drawn.items() if k.startswith("/signals/ecu/p_Bst"))
-    assert len(pressures) < 2600
-    for i, name in enumerate(("p_Bst", "p_Int")):
+        for component in ("Scalars:scalars", "signals:values"):
+            if not chunk.is_static and component in batch.schema.names:
+                drawn.setdefault(name, []).extend(batch[component].to_pylist())
+    for name in ("p_Bst", "p_Int"):
+        pressure = np.array([row[0][name] for row in drawn["/signals/ecu"]])
+        assert len(pressure) < 2600
         values = faulty.values(name)
-        assert (np.nanmin(pressures[:, i]), np.nanmax(pressures[:, i])) == (values.min(), values.max())
+        assert (np.nanmin(pressure), np.nanmax(pressure)) == (values.min(), values.max())
     samples = pl.read_parquet(folder / "samples.parquet")
     residual = np.array(drawn["/residuals/r_cyl/value"]).ravel()
     assert 250 < residual.size < 320

@@ -5,12 +5,15 @@ from typing import Any
 import pytest
 import rerun.blueprint as rrb
 
+from viz.colours import BLUE
 from viz.layout import LANE, PANELS_PER_PAGE, heights, overview_panels, signal_tabs
+from viz.send import Line
 from viz.signals import LogContents, Panel
 
 
 def panel(*names: str) -> Panel:
-    return Panel(title="t", signals=names, entities=("/e",), range=(0.0, 1.0))
+    lines = tuple(Line(entity="/e", field=name, name=name, colour=BLUE) for name in names)
+    return Panel(title="t", lines=lines, range=(0.0, 1.0))
 
 
 def contents(count: int, lanes: int = 0) -> LogContents:

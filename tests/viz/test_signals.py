@@ -1,10 +1,9 @@
 from __future__ import annotations
 
-import numpy as np
 import polars as pl
 
 from ingest.log import Group, Log, Signal
-from viz.signals import _of_one_size, _plots, curves, in_order
+from viz.signals import _of_one_size, _plots
 
 
 def log_of(units: dict[str, str | None], sizes: dict[str, float] | None = None) -> Log:
@@ -37,18 +36,3 @@ def test_no_plot_holds_more_series_than_can_be_told_apart() -> None:
 def test_text_and_bytes_are_in_no_plot() -> None:
     frame = pl.DataFrame({"time": [0.0], "v": [1], "mode": ["on"], "ok": [True], "blob": [b"x"]})
     assert _plots(Log(name="l", groups={"g": Group("g", frame)})) == [["v"]]
-
-
-def test_missing_and_infinite_values_are_breaks() -> None:
-    group = Group(
-        "g", pl.DataFrame({"time": [2.0, 0.0, 1.0], "i": [1, None, 3], "f": [float("inf"), 2.0, None]})
-    )
-    time, values = curves(group, ["i", "f"])
-    assert time.tolist() == [0.0, 1.0, 2.0]
-    assert np.isfinite(values).tolist() == [[False, True], [True, False], [True, False]]
-
-
-def test_time_stamps_that_are_not_finite_are_left_out() -> None:
-    time, rows = in_order(Group("g", pl.DataFrame({"time": [1.0, float("inf"), 0.0], "v": [1.0, 2.0, 3.0]})))
-    assert time.tolist() == [0.0, 1.0]
-    assert rows.tolist() == [2, 0]

@@ -19,6 +19,7 @@ from ingest.log import Event, Group, Log, Signal
 from stages.results import Diagnosis
 from viz import signals
 from viz.lanes import diagnosed
+from viz.send import VALUES
 from viz.series import gap_rows
 from viz.timeline import write_log_timeline, write_timeline
 from viz.viewer import executable
@@ -48,6 +49,41 @@ def series(found: dict[str, pl.DataFrame], key: str) -> tuple[Array, Array]:
     frame = found[key]
     seconds = frame["time"].cast(pl.Int64).to_numpy() / 1e9
     return seconds, np.array(frame["value"].to_list(), dtype=float)
+
+
+def signal(found: dict[str, pl.DataFrame], group: str, field: str) -> tuple[Array, Array]:
+    """Times in s and values of a signal, both of shape (n,)."""
+    frame = found[f"/signals/{group} {VALUES}"]
+    seconds = frame["time"].cast(pl.Int64).to_numpy() / 1e9
+    return seconds, np.array([row[0][field] for row in frame["value"]], dtype=float)
+
+
+def drawn_lines(path: Path) -> list[tuple[str, str]]:
+    """Field and name of each line of each plot, as the layout has them."""
+    reader = RrdReader(path)
+    (layout,) = reader.blueprints()
+    found: dict[str, dict[str, str]] = {}
+    for chunk in reader.stream(store=layout):
+        batch, entity = chunk.to_record_batch(), str(chunk.entity_path)
+        if "/overrides/signals/" in entity:
+            told = found.setdefault(entity, {})
+            for name in batch.schema.names:
+                if name == "SeriesLines:names":
+                    told["name"] = batch[name].to_pylist()[0][0]
+                if name == "VisualizerInstruction:component_map":
+                    told["field"] = batch[name].to_pylist()[0][0]["selector"].removeprefix(".")
+    return sorted({(told["field"], told["name"]) for told in found.values() if told})
+
+
+def titles(path: Path) -> set[str]:
+    """The titles of all views."""
+    reader = RrdReader(path)
+    (layout,) = reader.blueprints()
+    batches = [chunk.to_record_batch() for chunk in reader.stream(store=layout)]
+    named = [
+        b["ViewBlueprint:display_name"] for b in batches if "ViewBlueprint:display_name" in b.schema.names
+    ]
+    return {row[0] for column in named for row in column.to_pylist()}
 
 
 def lane(found: dict[str, pl.DataFrame], path: str) -> list[tuple[float, str]]:
@@ -92,23 +128,22 @@ def test_recordings_of_one_run_are_equal_by_content(
 
 
 def test_signals_keep_every_value_at_its_time(found: dict[str, pl.DataFrame], log: Log) -> None:
-    time, values = series(found, "/signals/fast/p_Bst\\ \\[kPa\\] Scalars:scalars")
-    kept = ~np.isnan(values).all(axis=1)
     frame = log.groups["fast"].frame
-    assert (values[kept] == frame.select("p_Bst", "p_Int", "p_Amb").to_numpy()).all()
-    assert np.abs(time[kept] - frame["time"].to_numpy()).max() <= 5.1e-10
+    for name in ("p_Bst", "p_Int", "p_Amb"):
+        time, values = signal(found, "fast", name)
+        kept = ~np.isnan(values)
+        assert (values[kept] == frame[name].to_numpy()).all()
+        assert np.abs(time[kept] - frame["time"].to_numpy()).max() <= 5.1e-10
 
 
 def test_gaps_stay_gaps(found: dict[str, pl.DataFrame], log: Log, diagnosis: Diagnosis) -> None:
     raw = log.groups["fast"].time
     row = int(gap_rows(raw)[0])
-    for key in (
-        "/signals/fast/n_Eng\\ \\[rpm\\]",
-        "/residuals/r_dp/value",
-        "/probability/leading",
-        "/evidence/leading",
-    ):
-        time, values = series(found, f"{key} Scalars:scalars")
+    lines = {
+        k: series(found, f"{k} Scalars:scalars")
+        for k in ("/residuals/r_dp/value", "/probability/leading", "/evidence/leading")
+    }
+    for key, (time, values) in {**lines, "n_Eng": signal(found, "fast", "n_Eng")}.items():
         inside = (time > raw[row]) & (time < raw[row + 1])
         assert inside.sum() == 1, key
         assert np.isnan(values[inside]).all(), key
@@ -239,17 +274,17 @@ def test_any_name_can_be_shown(odd: str, tmp_path: Path) -> None:
     path = tmp_path / "odd.rrd"
     write_log_timeline(Log(name=odd, groups={odd: group}), path)
     assert verify(path) == 0
-    names = [
-        v for k, f in frames(path).items() if k.endswith("SeriesLines:names") for r in f["value"] for v in r
-    ]
-    assert names == [odd + "v"]
+    (drawn,) = drawn_lines(path)
+    assert drawn[1] == odd + "v"
+    (values,) = (f["value"].to_list() for k, f in frames(path).items() if k.endswith(VALUES))
+    assert values == [[{drawn[0]: 1.0}], [{drawn[0]: 2.0}]]
 
 
 def test_rows_out_of_order_are_shown_in_order(tmp_path: Path) -> None:
     rng = np.random.default_rng(3)
     order = rng.permutation(500)
     write_log_timeline(one({"time": order * 0.1, "v": order * 1.0}), tmp_path / "l.rrd")
-    time, values = series(frames(tmp_path / "l.rrd"), "/signals/g/v\\ \\[\\?\\] Scalars:scalars")
+    time, values = signal(frames(tmp_path / "l.rrd"), "g", "v")
     assert values.ravel().tolist() == list(range(500))
     assert time == pytest.approx(np.arange(500) * 0.1)
 
@@ -262,7 +297,7 @@ def test_long_groups_keep_their_peaks(tmp_path: Path, monkeypatch: pytest.Monkey
     values[12_345] = 99.0
     write_log_timeline(one({"time": np.arange(20_000) * 1e-3, "v": values}), tmp_path / "l.rrd")
     found = frames(tmp_path / "l.rrd")
-    _, drawn = series(found, "/signals/g/v\\ \\[\\?\\] Scalars:scalars")
+    _, drawn = signal(found, "g", "v")
     assert drawn.size <= 1002
     assert (drawn.max(), drawn.min()) == (99.0, values.min())
     assert "least and greatest" in found["/summary TextDocument:text"]["value"][0][0]
@@ -280,12 +315,12 @@ def test_long_groups_keep_every_value_where_it_matters(
         one({"time": np.arange(20_000) * 1e-3, "v": values}, events=events), tmp_path / "l.rrd"
     )
     found = frames(tmp_path / "l.rrd")
-    time, drawn = series(found, "/signals/g/v\\ \\[\\?\\] Scalars:scalars")
+    time, drawn = signal(found, "g", "v")
     near = np.abs(time - 7.0) < 0.2995
     assert drawn[near].ravel().tolist() == values[6701:7300].tolist()
     assert (np.diff(time) >= 0).all()
     assert (drawn.max(), drawn.min()) == (values.max(), values.min())
-    assert drawn.size * 24 < 1.1 * 60_000
+    assert drawn.size * (signals.ROW_BYTES + 8) < 1.1 * 60_000
     assert "every value from 6." in found["/summary TextDocument:text"]["value"][0][0]
 
 
@@ -330,10 +365,19 @@ def test_units_stand_with_their_signals(tmp_path: Path) -> None:
         "c": Signal(name="c", unit="kPa"),
     }
     write_log_timeline(Log(name="l", groups={"g": Group("g", frame, given)}), tmp_path / "l.rrd")
-    drawn = {
-        k: f["value"][0] for k, f in frames(tmp_path / "l.rrd").items() if k.endswith("SeriesLines:names")
-    }
-    assert {k.split()[0]: v.to_list() for k, v in drawn.items()} == {
-        "/signals/g/a\\": ["a", "c"],
-        "/signals/g/b\\": ["b"],
-    }
+    assert sorted(title for title in titles(tmp_path / "l.rrd") if "[" in title) == ["a, c [kPa]", "b [K]"]
+
+
+def test_plots_of_one_signal_share_the_rows_of_their_group(tmp_path: Path) -> None:
+    """24 bytes of time and id come with a row; 14 signals of 8 bytes that share it stay near 9 each."""
+    rng = np.random.default_rng(7)
+    rows, count = 20_000, 14
+    values = {f"s{i}": rng.normal(size=rows) for i in range(count)}
+    for kind, limit in ((np.float64, 9.1), (np.float32, 5.2)):
+        frame = {"time": np.arange(rows) * 0.02, **{n: v.astype(kind) for n, v in values.items()}}
+        write_log_timeline(one(frame), tmp_path / "whole.rrd")
+        write_log_timeline(one({n: v[:2] for n, v in frame.items()}), tmp_path / "layout.rrd")
+        whole, layout = ((tmp_path / f"{n}.rrd").stat().st_size for n in ("whole", "layout"))
+        assert (whole - layout) / rows / count < limit
+        found = frames(tmp_path / "whole.rrd")
+        assert all((signal(found, "g", n)[1] == v.astype(kind)).all() for n, v in values.items())
