@@ -70,8 +70,8 @@ class Judge:
         """The verdict on ``log`` from its ``samples`` (columns as in :class:`stages.results.Diagnosis`)."""
         usable = usable_seconds(samples)
         statistics: dict[str, Any] = {"usable_s": round(usable, 3), "residuals": residual_statistics(samples)}
-        if truth := sorted({e.kind for e in log.events if e.source == "truth"}):
-            statistics["truth"] = truth
+        if truth := {e.kind for e in log.events if e.source == "truth"}:
+            statistics["truth"] = sorted(truth - {"none"}) or ["none"]
         none = Verdict(
             log=log.name, recipe=recipe, detector=detector, quality=quality, statistics=statistics,
             fault="none" if usable >= self.min_evidence_s else "insufficient_evidence",

@@ -15,7 +15,7 @@ from ingest.log import Log
 from stages.results import Diagnosis
 from viz import send
 from viz.colours import GREY, ORANGE, SKY_BLUE, of_fault, of_index
-from viz.lanes import diagnosed, truth
+from viz.lanes import diagnosed, held, truth, truth_known
 from viz.layout import KEY_SIGNALS, WholeRange, heights, lane_view, plot, signal_range
 from viz.raster import curves
 from viz.residuals import WIDTH, column, names
@@ -142,10 +142,8 @@ def _lanes(rec: rr.RecordingStream, root: str, one: Diagnosis) -> list[str]:
     faults = diagnosed(one.samples)
     at, states = lane(column(one.samples, "time"), faults)
     send.states(rec, paths[0], at, states, {f: of_fault(f) for f in set(states) if f})
-    if events := truth(one.log):
-        from viz.lanes import held
-
-        time, kinds = held(events, *one.log.span)
+    if truth_known(one.log):
+        time, kinds = held(truth(one.log), *one.log.span)
         paths.append(send.entity(root, "injected"))
         shown = [k or "none" for k in kinds[:-1]] + [""]
         send.states(rec, paths[-1], time, shown, {f: of_fault(f) for f in set(shown) if f})

@@ -32,6 +32,11 @@ def truth(log: Log) -> list[Event]:
     return [event for event in log.events if event.source == "truth" and event.kind != "none"]
 
 
+def truth_known(log: Log) -> bool:
+    """Whether a log says what was wrong, be it that nothing was."""
+    return any(event.source == "truth" for event in log.events)
+
+
 def log_lanes(rec: rr.RecordingStream, diagnosis: Diagnosis) -> list[str]:
     """The lanes of a run; returns their paths."""
     samples = diagnosis.samples
@@ -79,8 +84,8 @@ def log_event_lanes(rec: rr.RecordingStream, log: Log) -> list[str]:
         return []
     quality = [event for event in log.events if event.source == "quality"]
     paths = []
-    if injected := truth(log):
-        _log_events(rec, INJECTED, log, injected, "none", of_fault)
+    if truth_known(log):
+        _log_events(rec, INJECTED, log, truth(log), "none", of_fault)
         paths.append(INJECTED)
     if quality:
         _log_events(rec, QUALITY, log, quality, "good", lambda kind: SAND)

@@ -176,7 +176,7 @@ def _evidence(lanes: Sequence[str], diagnosis: Diagnosis) -> rrb.Container:
     shown = [lane for lane in lanes if lane in FAULT_LANES]
     views = [plot("Probability of each hypothesis [1]", ["/probability/leading"], (-0.03, 1.03))]
     if any(c.startswith("evidence.") for c in diagnosis.samples.columns):
-        words = "Evidence for each hypothesis: log-likelihood ratio to the fault-free case [nats]"
+        words = "Evidence for each hypothesis [nats: 1 makes it e times as likely as no fault]"
         views.append(plot(words, ["/evidence/leading"]))
     shares = heights([1.0] * len(views), shown)
     return rrb.Vertical(*views, *fault_lanes(shown), row_shares=shares, name="Evidence")

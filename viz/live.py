@@ -16,7 +16,7 @@ from stages.results import DETECTION, EVIDENCE, PROBABILITY, Diagnosis, Operatin
 from viz import send
 from viz.colours import EXCEEDANCE, GREY, SKY_BLUE, of_fault, of_index
 from viz.evidence import LEADING
-from viz.lanes import ALARM, DIAGNOSED, INJECTED, REGIME, diagnosed, held, regime_name, truth
+from viz.lanes import ALARM, DIAGNOSED, INJECTED, REGIME, diagnosed, held, regime_name, truth, truth_known
 from viz.layout import KEY_SIGNALS, WholeRange, fault_lanes, heights, map_view, plot, signal_range
 from viz.operating_map import MAP, log_cursor, log_regions
 from viz.plane import Axes, frame
@@ -98,11 +98,12 @@ class Live:
                 send.lines(self.rec, path, nothing[:, 0], nothing, names=[fault], colours=[of_fault(fault)])
         kinds = sorted({event.kind for event in truth(self.log)})
         known = ["none", "unknown", *self.faults]
+        injected = ["none", *kinds, "+".join(kinds) or "none"] if truth_known(self.log) else []
         regimes = [] if plane is None else [regime_name(i) for i in range(len(plane.nodes))]
         for path, palette in (
             (ALARM, {"no alarm": GREY, "alarm": EXCEEDANCE}),
             (DIAGNOSED, {f: of_fault(f) for f in known}),
-            (INJECTED, {f: of_fault(f) for f in ("none", *kinds, "+".join(kinds))} if kinds else {}),
+            (INJECTED, {f: of_fault(f) for f in injected}),
             (REGIME, {name: of_index(i) for i, name in enumerate(regimes)}),
         ):
             if palette:
@@ -133,14 +134,15 @@ class Live:
             for name in self.residuals[:RESIDUALS]
         ]
         faults = self.faults[:LEADING]
-        lanes = [ALARM, DIAGNOSED, *([INJECTED] if truth(self.log) else []), *([REGIME] if mapped else [])]
+        told = [INJECTED] if truth_known(self.log) else []
+        lanes = [ALARM, DIAGNOSED, *told, *([REGIME] if mapped else [])]
         left = rrb.Vertical(*views, *fault_lanes(lanes), row_shares=heights([1.0] * len(views), lanes))
         right: list[rrb.View] = [rrb.TextDocumentView(origin="/summary", name="Now")]
         if mapped:
             right.append(map_view())
         for title, root, scale in (
             ("Probability of each hypothesis", "probability", (-0.03, 1.03)),
-            ("Evidence [nats]", "evidence", None),
+            ("Evidence [nats: e times as likely]", "evidence", None),
         ):
             right.append(plot(title, [send.entity(root, f) for f in faults], scale))
         return WholeRange(
@@ -166,8 +168,8 @@ class Live:
         if "regime" in samples.columns:
             regimes = samples["regime"].fill_null(-1).to_list()
             self._changes(REGIME, time, np.array([regime_name(r) for r in regimes]))
-        if events := truth(self.log):
-            edges, kinds = held(events, *self.log.span)
+        if truth_known(self.log):
+            edges, kinds = held(truth(self.log), *self.log.span)
             at = np.clip(np.searchsorted(edges, time, side="right") - 1, 0, len(kinds) - 1)
             self._changes(INJECTED, time, np.array([kinds[i] or "none" for i in at]))
         for row in changes(faults):

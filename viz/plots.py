@@ -138,7 +138,7 @@ def _lanes(ax: Any, diagnosis: Diagnosis) -> None:
 
 def _injected(diagnosis: Diagnosis) -> list[tuple[float, float, Colour]]:
     events, known = lanes.truth(diagnosis.log), column(diagnosis.samples, "time")
-    if not events or not known.size:
+    if not lanes.truth_known(diagnosis.log) or not known.size:
         return []
     time, kinds = lanes.held(events, float(known[0]), float(known[-1]))
     return [
@@ -264,7 +264,7 @@ def matrices_plot(
         values = [[found.get(f, {}).get(h, np.nan) for h in heads] for f in faults]
         matrix(ax, np.array(values).reshape(len(faults), len(heads)), faults, heads, limit=limit)
     axes[0].set_title("signatures: mean z of each residual in alarm")
-    axes[1].set_title("isolability: lead in evidence over each other [nats]")
+    axes[1].set_title("isolability: lead in evidence over each other [nats: e times as likely]")
     axes[1].set_yticklabels([])
     for ax in axes:
         for label in ax.get_xticklabels():

@@ -25,7 +25,7 @@ from viz.summary import magnitude_text, summary
 from viz.svg import style, themed, variables
 from viz.tables import confusion, judged, table
 
-VERSION = 3
+VERSION = 4
 """Of a section's looks; another one is drawn anew."""
 QUIET = ("none", "insufficient_evidence")
 Row = Mapping[str, Any]

@@ -11,7 +11,7 @@ import polars as pl
 
 from ingest.log import Event, Log
 from stages.results import Diagnosis, Magnitude, Verdict
-from viz.lanes import regime_name, truth
+from viz.lanes import regime_name, truth, truth_known
 from viz.residuals import column, names, telling_rows
 
 REASONS = 3
@@ -44,7 +44,7 @@ def summary(diagnosis: Diagnosis, remarks: Iterable[str] = ()) -> str:
     verdict, log = diagnosis.verdict, diagnosis.log
     parts = [
         f"## {headline(verdict)}",
-        _facts_of_verdict(verdict, truth(log)),
+        _facts_of_verdict(verdict, truth(log), truth_known(log)),
         "### Why\n" + _bullets(reasons(diagnosis)),
         "### Data\n" + _bullets([*_data(diagnosis), *remarks]),
         "### Provenance\n" + _provenance(verdict, log),
@@ -86,19 +86,27 @@ def magnitude_text(magnitude: Magnitude) -> str:
     return f"{value:.{digits}f} ± {magnitude.sd * scale:.{digits}f} {unit}"
 
 
-def _facts_of_verdict(verdict: Verdict, injected: list[Event]) -> str:
+def _facts_of_verdict(verdict: Verdict, injected: list[Event], known: bool) -> str:
     delay = detection_delay(verdict, injected)
     rows = [
         ("Onset", None if verdict.onset_s is None else f"{verdict.onset_s:.1f} s"),
         ("Detected", None if verdict.detected_s is None else f"{verdict.detected_s:.1f} s"),
         ("Magnitude", magnitude_text(verdict.magnitude) if verdict.magnitude else None),
+        *((f"Magnitude of {part}", magnitude_text(size)) for part, size in pair_sizes(verdict).items()),
         ("Probability", probabilities(verdict)),
         *(("Injected", injected_text(event)) for event in injected),
-        ("Against the truth", agreement(verdict, injected) if injected else None),
+        ("Injected", "nothing: known to be fault-free" if known and not injected else None),
+        ("Against the truth", agreement(verdict, injected) if known else None),
         ("Delay", None if delay is None else f"{delay:.1f} s"),
     ]
-    known = [(name, text) for name, text in rows if text]
-    return table(("", verdict.log), known) if known else ""
+    said = [(name, text) for name, text in rows if text]
+    return table(("", verdict.log), said) if said else ""
+
+
+def pair_sizes(verdict: Verdict) -> dict[str, Magnitude]:
+    """The size of each of two faults at once; empty for a single fault, whose size is the verdict's."""
+    sizes = verdict.statistics.get("magnitudes", {})
+    return {part: Magnitude(**size) for part, size in sizes.items()} if len(sizes) > 1 else {}
 
 
 def injected_text(event: Event) -> str:
@@ -111,11 +119,13 @@ def injected_text(event: Event) -> str:
 
 
 def agreement(verdict: Verdict, injected: Iterable[Event]) -> str:
-    """Whether the verdict names what was injected."""
+    """Whether the verdict names what was injected; without any event, that nothing was."""
     faults = {part for event in injected for part in event.kind.split("+")}
     named = set(verdict.fault.split("+"))
-    if named == faults:
+    if named == (faults or {"none"}):
         return "correct"
+    if not faults:
+        return "too little data" if verdict.fault == "insufficient_evidence" else "false alarm"
     if verdict.fault in ("none", "insufficient_evidence"):
         return "missed"
     if verdict.fault == "unknown":
@@ -147,18 +157,20 @@ def reasons(diagnosis: Diagnosis) -> list[str]:
         z = column(samples, f"z.{name}")[rows]
         z = z[np.isfinite(z)]
         if z.size:
-            found.append((abs(z.mean()), _in_words(name, z, when)))
+            formula = diagnosis.about.residuals.get(name) if diagnosis.about else None
+            found.append((abs(z.mean()), _in_words(name, z, when, formula)))
     lines = [text for _, text in sorted(found, reverse=True)[:REASONS]]
     return lines + _runner_up(diagnosis.verdict, samples.filter(pl.Series(rows)))
 
 
-def _in_words(name: str, z: Any, when: str) -> str:
+def _in_words(name: str, z: Any, when: str, formula: str | None) -> str:
     mean, beyond = float(z.mean()), float((np.abs(z) > 3.0).mean())
     strength = "far" if abs(mean) >= 3.0 else "clearly"
     where = (
         f"{strength} {'above' if mean > 0 else 'below'} expectation" if abs(mean) >= 1.0 else "as expected"
     )
-    return f"**{name}** is {where} {when}: mean {mean:+.1f} sigma, {beyond:.0%} beyond 3 sigma"
+    what = f"; it is {formula}" if formula else ""
+    return f"residual **{name}** is {where} {when}: mean {mean:+.1f} sigma, {beyond:.0%} beyond 3 sigma{what}"
 
 
 def _runner_up(verdict: Verdict, samples: pl.DataFrame) -> list[str]:
@@ -273,7 +285,9 @@ def log_summary(log: Log, remarks: Iterable[str] = ()) -> str:
     parts = [
         f"## {log.name}",
         table(("group", "rows", "signals", "rate"), rows),
-        "### Injected faults\n" + _bullets(map(injected_text, truth(log))) if truth(log) else "",
+        "### Injected faults\n" + _bullets(map(injected_text, truth(log)) if truth(log) else ["none"])
+        if truth_known(log)
+        else "",
         "### Remarks\n" + _bullets(remarks) if remarks else "",
         "### Source\n" + table(("", "value"), facts(log)) if facts(log) else "",
     ]

@@ -103,7 +103,7 @@ def log_log(rec: rr.RecordingStream, log: Log) -> None:
 
 def moments(log: Log, verdict: Verdict | None = None) -> list[float]:
     """When what matters began, s: injected faults, onset and detection, other findings; the first few."""
-    found = [event.t_start for event in log.events if event.source != "quality"]
+    found = [event.t_start for event in log.events if event.source != "quality" and event.kind != "none"]
     if verdict is not None:
         told = [verdict.onset_s, verdict.detected_s, *(event.t_start for event in verdict.events)]
         found += [at for at in told if at is not None]

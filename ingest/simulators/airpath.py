@@ -57,10 +57,11 @@ def simulate_airpath(
 ) -> Log:
     """A log of a diesel car on ``cycle`` with ``faults`` and ground truth.
 
-    Group ``ecu`` (50 Hz) holds what the sensors say, group ``truth`` (10 Hz, at sample times of ``ecu``) what
-    healthy sensors would have said with the same noise and lag, and the true flows. Each fault is an event
-    with source ``truth``. A fault does not shift the noise: up to its onset the log is that of the same seed
-    without it. Every seed is another drive (payload, weather, driver), unless ``overrides`` has variation 0.
+    Group ``ecu`` (50 Hz) holds what the sensors say, group ``truth`` (10 Hz, at sample times of ``ecu``)
+    what healthy sensors would have said with the same noise and lag, and the true flows. Each fault is an
+    event with source ``truth``; without any there is one of kind ``none``. A fault does not shift the
+    noise: up to its onset the log is that of the same seed without it. Every seed is another drive
+    (payload, weather, driver), unless ``overrides`` has variation 0.
 
     Args:
         cycle: a name of ``cycles.CYCLES`` or a CSV file of time and speed.

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from ingest.errors import DynoscopeError
 from ingest.log import TIME, Group, Log, Signal
+from ingest.simulators.faults import FAULT_FREE
 
 __all__ = ["STRUCTURES", "example1", "example2", "simulate_example"]
 
@@ -63,7 +64,7 @@ def simulate_example(
     facts = {
         "simulator": system, "n": n, "noise": noise, "seed": seed, "structure": STRUCTURES[system],
     }  # fmt: skip
-    return Log(name or system, {system: Group(system, frame, signals)}, facts=facts)
+    return Log(name or system, {system: Group(system, frame, signals)}, (FAULT_FREE,), facts)
 
 
 def example1(n: int, noise: float, seed: int) -> Mapping[str, Array]:

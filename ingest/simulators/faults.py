@@ -164,9 +164,13 @@ def _sensor_fault(
         inputs.gain[:, column] += s * fault.magnitude
 
 
+FAULT_FREE = Event(t_start=0.0, kind="none", source="truth")
+"""Ground truth of a log that is known to have no fault."""
+
+
 def truth_events(faults: Sequence[Fault], duration_s: float) -> tuple[Event, ...]:
-    """Ground truth: one event per fault."""
-    return tuple(
+    """Ground truth: one event per fault, or :data:`FAULT_FREE`."""
+    made = tuple(
         Event(
             t_start=fault.starts(duration_s),
             t_end=fault.end_s,
@@ -178,3 +182,4 @@ def truth_events(faults: Sequence[Fault], duration_s: float) -> tuple[Event, ...
         )
         for fault in faults
     )
+    return made or (FAULT_FREE,)

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from ingest.errors import DynoscopeError, did_you_mean
 from ingest.log import TIME, Event, Group, Log, Signal
 from ingest.physics import zero_order_hold
-from ingest.simulators.faults import Fault
+from ingest.simulators.faults import FAULT_FREE, Fault
 
 __all__ = ["FAULTS", "Throttle", "plant_coefficients", "simulate_throttle"]
 
@@ -133,7 +133,7 @@ def simulate_throttle(
         "throttle": _group("throttle", time, {"e_a": (e_a, "V"), "theta_ang": (reading, "V")}),
         "truth": _group("truth", time, {"truth.theta_ang": (healthy, "V"), "truth.theta": (theta, "rad")}),
     }
-    events = tuple(_event(fault, samples * DT) for fault in faults)
+    events = tuple(_event(fault, samples * DT) for fault in faults) or (FAULT_FREE,)
     facts = {
         "simulator": "throttle", "vehicle": "electronic throttle, simulated", "duration_s": samples * DT,
         "seed": seed, "noise": noise, "overrides": dict(overrides), "faults": [asdict(f) for f in faults],

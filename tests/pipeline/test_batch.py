@@ -68,7 +68,7 @@ def test_summary(done: Path, detector: Detector) -> None:
         "none",
         "",
         None,
-        None,
+        "none",
     )
     assert pl.read_csv(done / "summary.csv").columns == list(SUMMARY_SCHEMA)
 

@@ -70,6 +70,8 @@ def test_the_summary_says_what_happened_and_why(diagnosis: Diagnosis) -> None:
         assert part in text
     z = diagnosis.samples.filter(pl.col("detection") > 0)["z.r_dp"].to_numpy()
     assert f"**r_dp** is far below expectation in alarm: mean {z.mean():+.1f} sigma" in text
+    assert diagnosis.about is not None
+    assert f"; it is {diagnosis.about.residuals['r_dp']}" in text
     assert text.index("**r_dp**") < text.index("**r_cyl**")
     assert "3f9a12c0" in text
     assert "unit assumed: u_Vnt" in text
@@ -112,3 +114,34 @@ def test_cells_cannot_break_the_table() -> None:
     text = log_summary(Log(name="l", groups={"g|h\n": group}))
     assert "g\\|h " in text
     assert table(("a",), [("x|y\nz",)]).splitlines()[-1] == "| x\\|y z |"
+
+
+def test_a_log_known_to_be_fault_free_is_judged(diagnosis: Diagnosis) -> None:
+    healthy = Event(t_start=0.0, kind="none", source="truth")
+    log = replace(diagnosis.log, events=(healthy,))
+    assert "| Against the truth | false alarm |" in summary(replace(diagnosis, log=log))
+    quiet = replace(diagnosis, log=log, verdict=replace(diagnosis.verdict, fault="none"))
+    text = summary(quiet)
+    assert "| Injected | nothing: known to be fault-free |" in text
+    assert "| Against the truth | correct |" in text
+    unknown = replace(quiet, log=replace(log, events=()))
+    assert "Against the truth" not in summary(unknown)
+    assert "### Injected faults\n- none" in log_summary(log)
+    assert "Injected faults" not in log_summary(replace(log, events=()))
+
+
+def test_each_of_two_faults_has_its_size(diagnosis: Diagnosis) -> None:
+    sizes = {
+        "boost_leak": {"value": 4.0, "sd": 0.3, "unit": "mm"},
+        "maf_gain": {"value": -0.08, "sd": 0.01, "unit": "1"},
+    }
+    verdict = replace(
+        diagnosis.verdict, fault="boost_leak+maf_gain", magnitude=None, statistics={"magnitudes": sizes}
+    )
+    text = summary(replace(diagnosis, verdict=verdict))
+    assert "| Magnitude of boost_leak | 4.00 ± 0.30 mm |" in text
+    assert "| Magnitude of maf_gain | -8.0 ± 1.0 % |" in text
+    single = replace(
+        verdict, fault="boost_leak", statistics={"magnitudes": {"boost_leak": sizes["boost_leak"]}}
+    )
+    assert "Magnitude of" not in summary(replace(diagnosis, verdict=single))

@@ -41,7 +41,7 @@ def test_log_keeps_its_contract(healthy: Log) -> None:
     assert wanted | {"theta_Thr", "u_Egr", "u_Vnt", "v_Veh", "n_Turb", "lambda"} == set(ecu.signals)
     assert all(s.unit and s.description for s in healthy.signals.values())
     assert not any(ecu.frame.null_count().row(0))
-    assert healthy.events == ()
+    assert [(e.kind, e.source) for e in healthy.events] == [("none", "truth")]
     assert {"simulator", "cycle", "seed", "tolerance", "egr", "vehicle", "overrides", "tolerances"} <= set(
         healthy.facts
     )
