@@ -105,13 +105,13 @@ class Group:
             raise LogError(f"group {self.name!r} has no {TIME!r} column; it has {frame.columns}")
         order = [TIME, *(c for c in frame.columns if c != TIME)]
         schema = frame.schema
+        if frame.columns != order or schema[TIME] != pl.Float64:
+            frame = frame.select(pl.col(TIME).cast(pl.Float64), *order[1:])
         nans = frame.select(pl.col(c).is_nan().any() for c in order[1:] if schema[c].is_float())
-        frame = frame.select(order).with_columns(
-            pl.col(TIME).cast(pl.Float64), *(_missing(s.name) for s in nans if s.any())
-        )
-        bad = frame[TIME].is_null() | frame[TIME].is_nan()
-        if bad.any():
-            raise LogError(f"group {self.name!r}: {int(bad.sum())} of {frame.height} time stamps are missing")
+        if holed := [s.name for s in nans if s.item()]:
+            frame = frame.with_columns(pl.col(holed).fill_nan(None))
+        if bad := int(np.isnan(frame[TIME].to_numpy()).sum()):
+            raise LogError(f"group {self.name!r}: {bad} of {frame.height} time stamps are missing")
         signals = dict(self.signals) or {c: Signal(name=c) for c in order[1:]}
         if list(signals) != order[1:]:
             signals = {c: signals[c] if c in signals else Signal(name=c) for c in order[1:]}
@@ -128,10 +128,6 @@ class Group:
         """Median sampling rate, 0 where there are fewer than two samples."""
         step = float(np.median(np.diff(self.time))) if self.frame.height > 1 else 0.0
         return 1.0 / step if step > 0 else 0.0
-
-
-def _missing(column: str) -> pl.Expr:
-    return pl.col(column).fill_nan(None)
 
 
 @dataclass(frozen=True, eq=False)

@@ -49,8 +49,8 @@ class Observer:
             )
         isolate = detector.stages[place]
         assert isinstance(isolate, Isolate)
-        directions = directions_of(isolate)
-        points = isolate.connect(detector.stages[:place]).points
+        isolate = isolate.connect(detector.stages[:place])
+        points, directions = isolate.points, directions_of(isolate)
         reduced = Points([h for _, h in directions], points.chain, points.residuals)
         regions = len(relations.models[relations.regime].theta)
         return cls(

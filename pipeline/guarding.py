@@ -55,8 +55,8 @@ def guard(blocks: Sequence[Log], stages: Sequence[Stage]) -> list[Finding | None
     isolate = stages[-1]
     if len(blocks) < LEAST or not isinstance(isolate, Isolate):
         return found
-    points = isolate.connect(stages[:-1]).points
-    directions = directions_of(isolate)
+    isolate = isolate.connect(stages[:-1])
+    points, directions = isolate.points, directions_of(isolate)
     reduced = Points([h for _, h in directions], points.chain, points.residuals)
     given = np.array([isolate.offsets.get(r, {}).get("1", 0.0) for r in points.residuals])
     for s in suspicious(drive_means(blocks, reduced, given, isolate.correlation_s)):
@@ -76,8 +76,9 @@ def guard(blocks: Sequence[Log], stages: Sequence[Stage]) -> list[Finding | None
 def directions_of(isolate: Isolate) -> list[tuple[str, Hypothesis]]:
     """Every fault at one size to either side, a quarter up its grid."""
     found = []
-    for name, h in isolate.hypotheses.items():
-        for side in ([s for s in h.sizes if s > 0], [s for s in reversed(h.sizes) if s < 0]):
+    evaluated = isolate.points.sizes[-len(isolate.hypotheses) :]
+    for (name, h), sizes in zip(isolate.hypotheses.items(), evaluated, strict=True):
+        for side in ([s for s in sizes if s > 0], [s for s in reversed(sizes) if s < 0]):
             found += [(name, replace(h, sizes=(x,), inexact=0.0)) for x in side[len(side) // 4 :][:1]]
     return found
 

@@ -28,13 +28,15 @@ QUANTILE = 1.645  # 95 % of a normal deviate lie below
 
 
 class Rows(NamedTuple):
-    """What is known of a block's rows; ``e sigma ln_sigma doubt`` (active rows, residuals, points),
-    ``shapes`` (active rows, residuals, 2) and ``known`` (active rows, residuals) only of those ``active``;
-    ``place`` (rows, any): the operating point, a rest ends 1 away from where it began."""
+    """What is known of a block's rows; only of those ``active``: ``share`` (active rows,) of an independent
+    sample, ``e sigma ln_sigma doubt`` (active rows, residuals, points), ``shapes`` (active rows, residuals,
+    2), ``known`` (active rows, residuals). ``place`` (rows, any): the operating point, a rest ends 1 away
+    from where it began."""
 
     dt: Array
     active: NDArray[np.bool_]
     place: Array
+    share: Array
     known: Array
     e: Array
     sigma: Array
@@ -52,7 +54,6 @@ class Settings(NamedTuple):
     threshold: Array
     sd: Array
     unknown_sd: Array
-    correlation: float
     clip: float
     confirm: float
     decide: float
@@ -141,7 +142,7 @@ def remember(
             break
     if not rows.active[k]:
         return
-    share = min(dt, settings.correlation) / settings.correlation
+    share = rows.share[row]
     row_of = (rows.e[row], rows.sigma[row], rows.ln_sigma[row], rows.doubt[row])
     weights, seen = share * rows.known[row], clocks[SEEN]
     add_sample(memory.fresh, row_of, grid, rows.shapes[row], weights, memory.S[1], seen, settings.clip)

@@ -65,11 +65,10 @@ class Gsmms:
         novelty is the whitened distance to the best matching region's training samples over ``reach``; above
         1 the sample is out of the trained domain.
         """
-        M, k = self.theta.shape
         return Evaluation(
             *evaluate(
                 np.ascontiguousarray(S), self.partition.nodes, self.width, self.theta,
-                self.root.reshape(M, k, -1), self.mean, self.whiten, self.reach,
+                np.ascontiguousarray(self.root), self.mean, self.whiten, self.reach,
             )
         )  # fmt: skip
 

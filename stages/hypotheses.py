@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from ingest.errors import RecipeError
 from stages.formula import Formula
+from stages.relations import Relations
 from stages.residuals import MODEL_SD, RESIDUAL, SIGMA, UNFAMILIAR
 from stages.stage import RowWise
 
@@ -92,12 +93,25 @@ class Points:
 
     @property
     def count(self) -> int:
-        return 1 + sum(len(h.sizes) for h in self.hypotheses)
+        return 1 + sum(map(len, self.sizes))
+
+    @cached_property
+    def sizes(self) -> list[tuple[float, ...]]:
+        """Of every hypothesis those to evaluate: none where all relations that it concerns were never learned
+        (no exhaust gas recirculation, no valve that sticks), as it then looks like the log as it is."""
+        stages = [(k, stage) for k, stage in enumerate(self.chain) if isinstance(stage, Relations)]
+        sizes = []
+        for h, plan in zip(self.hypotheses, self._plans, strict=True):
+            concerned = {n for k, stage in stages for n in plan[k] & stage.relations.keys()}
+            learned = concerned.intersection(*(stage.models for _, stage in stages))
+            sizes.append(h.sizes if learned or not concerned else ())
+        return sizes
 
     @cached_property
     def _inexact(self) -> Array:
         """Of every point, shape (points,)."""
-        return np.array([0.0, *(h.inexact for h in self.hypotheses for _ in h.sizes)])
+        sizes = zip(self.hypotheses, self.sizes, strict=True)
+        return np.array([0.0, *(h.inexact for h, evaluated in sizes for _ in evaluated)])
 
     @cached_property
     def needs(self) -> set[str]:
@@ -143,7 +157,9 @@ class Points:
             place, computed = slice(0, 1), base
             for i in range(len(self.hypotheses) + 1):
                 if i > 0:
-                    sizes = np.array(self.hypotheses[i - 1].sizes)
+                    sizes = np.array(self.sizes[i - 1])
+                    if not sizes.size:
+                        continue
                     place = slice(place.stop, place.stop + len(sizes))
                     computed = self.undone(base, [(i - 1, sizes)])
                 for r, name in enumerate(self.residuals):

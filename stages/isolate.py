@@ -52,18 +52,20 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class IsolateState:
-    """Time of the log's first and last row, and what the recursion remembers."""
+    """Time of the log's first row, the last, and the last one looked at; and what the recursion remembers."""
 
     first: float
     time: float
+    seen: float
     memory: Memory
 
 
 @dataclass(frozen=True, kw_only=True)
 class Isolate:
     """``offsets``: by residual, what differs from run to run: a shape's formula and its standard deviation;
-    ``residuals``: those to judge by, all if none is named; ``rest``: columns that no fault concerns, and the
-    relative change of each that ends a rest (none: no search for steps).
+    ``residuals``: those to judge by, all if none is named; ``every_s``: one usable sample in this time is
+    looked at and stands for the others; ``rest``: columns that no fault concerns, and the relative change of
+    each that ends a rest (none: no search for steps).
 
     The threshold of a fault and a memory is ``margin`` more than the largest evidence in the calibration
     logs, at least ``min_threshold``, for a step ``min_step_threshold``.
@@ -73,7 +75,7 @@ class Isolate:
             before this stage; nothing learned yet.
     """
 
-    version: ClassVar[str] = "3"
+    version: ClassVar[str] = "4"
     learns_from: ClassVar[Literal["calibration"]] = "calibration"
     hypotheses: Mapping[str, Hypothesis]
     drifts: Mapping[str, Drift] = field(default_factory=dict)
@@ -82,6 +84,7 @@ class Isolate:
     memories_s: tuple[float, ...] = (3.0, 10.0, 30.0, 100.0, 300.0)
     correlation_s: float = 2.0
     min_gate: float = 0.05
+    every_s: float = 0.0
     clip: float = 4.0
     between: int = 4
     known_to: float = 1.2
@@ -188,22 +191,24 @@ class Isolate:
             size=np.zeros(F),
             size_sd=np.full(F, np.nan),
         )
-        return IsolateState(np.nan, np.nan, memory)
+        return IsolateState(np.nan, np.nan, np.nan, memory)
 
     def step(self, state: IsolateState, block: Log, /) -> tuple[IsolateState, Log]:
         time = block.groups[ANALYSIS].time
         values = columns(block)
         first = state.first if not time.size or np.isfinite(state.first) else float(time[0])
         dt = np.diff(time, prepend=state.time)
+        dt = np.where(np.isfinite(dt), dt, self.correlation_s)
         gate = np.nan_to_num(values.get(GATE, np.ones(time.size)), nan=0.0)
-        active = gate >= self.min_gate
+        active, share = self._looked_at(time, dt, gate >= self.min_gate, state.seen)
         wanted = {TIME, GATE, *self.points.needs} & values.keys()
         needed = {c: values[c][active] for c in wanted}
         e, sigma, doubt, novelty = self.points.evaluate(needed, time[active] - first)
         rows = Rows(
-            dt=np.where(np.isfinite(dt), dt, self.correlation_s),
+            dt=dt,
             active=active,
             place=self._place(values),
+            share=share,
             known=familiarity(novelty, self.known_to),
             e=e,
             sigma=sigma,
@@ -214,7 +219,8 @@ class Isolate:
         memory = Memory(*(x.copy() for x in state.memory))
         out = follow(rows, self.grid, self._settings, memory)
         last = float(time[-1]) if time.size else state.time
-        return IsolateState(first, last, memory), add_columns(block, self._columns(*out))
+        seen = float(time[active][-1]) if active.any() else state.seen
+        return IsolateState(first, last, seen, memory), add_columns(block, self._columns(*out))
 
     def _columns(
         self,
@@ -239,6 +245,19 @@ class Isolate:
             EVIDENCE + UNKNOWN: evidence[:, -1].astype(np.float32),
             PROBABILITY + UNKNOWN: p[:, -1].astype(np.float32),
         }
+
+    def _looked_at(
+        self, time: Array, dt: Array, usable: NDArray[np.bool_], seen: float
+    ) -> tuple[NDArray[np.bool_], Array]:
+        """The first usable row of every ``every_s``, and which share of an independent sample each is;
+        ``seen``: when the last one before was."""
+        active = usable.copy()
+        if self.every_s > 0:
+            part = np.floor(np.append(seen, time[usable]) / self.every_s + 1e-6)
+            active[usable] = part[1:] != part[:-1]
+        stands_for = np.minimum(np.diff(time[active], prepend=seen), self.every_s)
+        stands_for = np.fmax(stands_for, dt[active])
+        return active, np.minimum(stands_for, self.correlation_s) / self.correlation_s
 
     def _place(self, values: Mapping[str, Array]) -> Array:
         """The operating point in units of what ends a rest, shape (rows, columns of ``rest``)."""
@@ -266,7 +285,6 @@ class Isolate:
             threshold=self.learned["threshold"],
             sd=self.sd,
             unknown_sd=self._unknown_sd,
-            correlation=self.correlation_s,
             clip=self.clip,
             confirm=self.confirm_s,
             decide=self.decide_s,
@@ -299,7 +317,8 @@ class Isolate:
 
     @cached_property
     def grid(self) -> Grid:
-        return refined_grid([*self.hypotheses.values()], len(self.drifts), self.between)
+        drifts, faults = len(self.drifts), [*self.hypotheses.values()]
+        return refined_grid(faults, self.points.sizes[drifts:], drifts, self.between)
 
 
 def _finite(x: Array) -> Array:

@@ -28,14 +28,20 @@ class Grid(NamedTuple):
     prior: Array
 
 
-def refined_grid(hypotheses: Sequence[Hypothesis], drifts: int, between: int) -> Grid:
+def refined_grid(
+    hypotheses: Sequence[Hypothesis], evaluated: Sequence[Sequence[float]], drifts: int, between: int
+) -> Grid:
     """The grid of points as :class:`stages.hypotheses.Points` orders them, ``drifts`` of which are a healthy
-    system's, with ``between - 1`` further sizes between two."""
+    system's, with ``between - 1`` further sizes between two. Where none is ``evaluated``, the hypothesis is
+    the log as it is at any size."""
     healthy = 1 + drifts * len(DRIFT_PRIOR)
     left, right, share = list(range(healthy)), list(range(healthy)), [0.0] * healthy
     grids: list[list[tuple[float, int]]] = []
     start = healthy
-    for h in hypotheses:
+    for h, some in zip(hypotheses, evaluated, strict=True):
+        if not some:
+            grids.append([(h.sizes[0], 0), (h.sizes[-1], 0)])
+            continue
         computed = [*zip(h.sizes, range(start, start + len(h.sizes)), strict=True)]
         computed = sorted([(0.0, 0), *computed]) if h.from_zero else computed
         start += len(h.sizes)

@@ -15,7 +15,7 @@ NEEDED = 0.5 * (QUANTILE + np.sqrt(QUANTILE**2 + 2 * THRESHOLD)) ** 2
 
 def least(hypothesis: Hypothesis, gain: list[float]) -> float:
     """``gain``: by how much being healthy is likelier than each of the hypothesis' sizes."""
-    grid = refined_grid([hypothesis], 0, 1)
+    grid = refined_grid([hypothesis], [hypothesis.sizes], 0, 1)
     detectable = np.full(1, np.inf)
     note_detectable(np.array([0.0, *(-g for g in gain), 0.0]), np.array([THRESHOLD]), grid, detectable)
     return float(detectable[0])

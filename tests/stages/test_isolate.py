@@ -11,7 +11,11 @@ from made_up_engine import HYPOTHESES, STAGES, drive, fitted_to
 
 from ingest.errors import RecipeError
 from ingest.log import Group, Log
+from stages.hypotheses import Hypothesis
 from stages.isolate import Isolate
+from stages.regressors import Regressors
+from stages.relations import Relation, Relations
+from stages.residuals import Residuals
 from stages.stage import ANALYSIS, Stage, connected, transform
 
 PROBABILITIES = [f"p.{f}" for f in (*HYPOTHESES, "unknown")]
@@ -147,3 +151,44 @@ def test_mistakes() -> None:
         Isolate(hypotheses=HYPOTHESES, offsets={"r": {"1": 1.0, "a": 1.0, "b": 1.0}})
     with pytest.raises(RecipeError, match="right after the stages"):
         _ = Isolate(hypotheses=HYPOTHESES).connect([STAGES[0]]).points
+
+
+def test_one_sample_a_while_stands_for_those_beside_it() -> None:
+    """Half of the samples, each twice its weight: the same fault, about as soon; in blocks as in one."""
+    chain = fitted_to((*STAGES[:-1], replace(STAGES[-1], every_s=1.0, decide_s=1.0)))  # type: ignore[type-var]
+    log = drive(7, flow=0.05)
+    frame = samples(chain, log)
+    assert 200.0 < frame.filter(pl.col("detection") == 1)["time"][0] < 218.0
+    late = frame.filter(pl.col("time") > 300)
+    assert late["p.flow_gain"].min() > 0.9  # type: ignore[operator]
+    assert late["size.flow_gain"][-1] == pytest.approx(0.05, rel=0.1)
+    in_blocks = transform(chain, log, 7.3).groups[ANALYSIS].frame
+    np.testing.assert_array_equal(in_blocks["evidence.flow_gain"], frame["evidence.flow_gain"])
+    all_of_them = samples(fitted_to(STAGES), log)
+    ratio = late["evidence.flow_gain"][-1] / all_of_them["evidence.flow_gain"][-1]
+    assert 0.7 < ratio < 1.4
+
+
+def test_a_fault_of_what_is_not_there_looks_like_none() -> None:
+    """A valve that was shut in all training logs: that it sticks can be told from nothing."""
+    relations, isolate = STAGES[2], STAGES[-1]
+    assert isinstance(relations, Relations)
+    assert isinstance(isolate, Isolate)
+    valve = Relation(output="air", inputs=("F",), where="leak - 99", nodes=2)
+    stuck = Hypothesis(undo={"leak": "theta"}, sizes=(100.0, 110.0), from_zero=False)
+    chain = fitted_to(
+        (
+            Regressors(columns={"air": "ln(W / (p * n))", "fuel": "ln(W / F)"}),
+            STAGES[1],
+            replace(relations, relations={**relations.relations, "f_valve": valve}),
+            Residuals(residuals={"r_air": "air - f_air - f_valve", "r_fuel": "fuel - f_fuel"}),
+            replace(isolate, hypotheses={"flow_gain": HYPOTHESES["flow_gain"], "stuck": stuck}),
+        )
+    )
+    fitted = chain[-1]
+    assert isinstance(fitted, Isolate)
+    assert fitted.points.sizes == [HYPOTHESES["flow_gain"].sizes, ()]
+    frame = samples(chain, drive(7, flow=0.05))
+    assert frame["p.flow_gain"][-1] > 0.9
+    assert (frame["evidence.stuck"] == 0.0).all()
+    assert frame["detectable.stuck"].is_null().all()

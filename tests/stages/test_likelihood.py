@@ -12,7 +12,7 @@ from stages.hypotheses import Hypothesis
 from stages.likelihood import A11, B1, SUMS, D, Q, add_sample, fade, log_likelihoods, peak, tame
 from stages.size_grid import Grid, refined_grid
 
-AS_IT_IS = refined_grid([Hypothesis(undo={"y": "theta"}, sizes=(1.0,), from_zero=False)], 0, 1)
+AS_IT_IS = refined_grid([Hypothesis(undo={"y": "theta"}, sizes=(1.0,), from_zero=False)], [(1.0,)], 0, 1)
 
 
 def add(
@@ -106,7 +106,7 @@ def test_sums_fade() -> None:
 
 
 def test_between_two_sizes_all_is_linear() -> None:
-    grid = refined_grid([Hypothesis(undo={"y": "y - theta"}, sizes=(1.0,))], 0, 4)
+    grid = refined_grid([Hypothesis(undo={"y": "y - theta"}, sizes=(1.0,))], [(1.0,)], 0, 4)
     S = np.zeros((1, SUMS, len(grid.left) + 1))
     add(S, [[0.0, 4.0]], grid=grid)
     place = dict(zip(grid.sizes[0], grid.points[0], strict=True))
