@@ -10,6 +10,8 @@ from typing import Any
 import polars as pl
 
 from ingest.errors import LogError
+from pipeline.drift import ALL, TABLE
+from pipeline.drift import REPORT as DRIFT
 from pipeline.files import write_aside
 from pipeline.fleet import fleet_table
 from pipeline.outputs import MANIFEST, SHOWN, VERDICT
@@ -60,12 +62,46 @@ def write_report(out: Path, drawn: int = DRAWN, progress: Progress = lambda word
             f"`dynoscope report {out.name} --drawn N`."
         )
     made.sort(key=lambda s: [r["log"] for r in rows].index(s.log))
-    text = report(_title(rows, out), rows, made, fleet_table(summary_frame(rows)), notes, selections)
+    fleet, drift = fleet_table(summary_frame(rows)), _drift(out, rows)
+    text = report(_title(rows, out), rows, made, fleet, notes, selections, drift)
     try:
         write_aside(path, text.encode())
     except OSError as error:
         raise LogError(f"cannot write {path}: {error.strerror or error}") from None
     return path
+
+
+def _drift(out: Path, rows: Sequence[Row]) -> str:
+    """What ``dynoscope drift`` has found in the batch, as a part of the page; empty where it was not asked.
+
+    Raises:
+        LogError: its files are damaged.
+    """
+    from viz.drift import Moved, drift_part
+
+    if not (out / DRIFT).is_file():
+        return ""
+    try:
+        told = json.loads((out / DRIFT).read_text(encoding="utf-8"))
+        whole = pl.read_parquet(out / TABLE).filter(pl.col("regime") == ALL)
+        order = pl.DataFrame({"log": told["logs"]})
+        moved = []
+        for one in (s for s in told["series"] if s["regime"] == ALL):
+            found = order.join(whole.filter(pl.col("residual") == one["residual"]), on="log", how="left")
+            drift = one["drift"]
+            moved.append(
+                Moved(
+                    residual=one["residual"], means=found["mean"].fill_null(float("nan")).to_numpy(),
+                    sigma=one["sigma"], noise=drift["noise"], noticed=drift["noticed"],
+                    levels=tuple((s["first"], s["last"], s["level"]) for s in drift["segments"]),
+                )
+            )  # fmt: skip
+        vehicles = {row["log"]: row["vehicle"] for row in rows}
+        return drift_part(told["logs"], [vehicles.get(n) for n in told["logs"]], moved, told["advice"])
+    except (OSError, ValueError, KeyError, pl.exceptions.PolarsError) as error:
+        raise LogError(
+            f"the drift report in {out} cannot be read ({error}); make it again with `dynoscope drift {out}`"
+        ) from None
 
 
 def _rows(out: Path) -> Sequence[Row]:

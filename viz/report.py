@@ -10,8 +10,6 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
-from importlib.resources import files
-from string import Template
 from typing import Any
 
 import polars as pl
@@ -20,9 +18,10 @@ from stages.results import Chosen, Diagnosis, Magnitude
 from viz.colours import hex_of, of_fault
 from viz.plots import distribution_plot, matrices_plot, timeline_plot
 from viz.selection_plot import selection_plot
+from viz.sheet import sheet
 from viz.statistics import leads, signature
 from viz.summary import magnitude_text, summary
-from viz.svg import style, themed, variables
+from viz.svg import style, themed
 from viz.tables import confusion, judged, table
 
 VERSION = 4
@@ -97,9 +96,10 @@ def report(
     fleet: pl.DataFrame,
     notes: Sequence[str] = (),
     selections: Sequence[Chosen] = (),
+    drift: str = "",
 ) -> str:
     """The whole page. ``rows``: of the summary; ``drawn``: sections of some of their logs; ``selections``:
-    of the detector's inputs."""
+    of the detector's inputs; ``drift``: a part of :func:`viz.drift.drift_part`."""
     known = {s.log for s in drawn}
     parts = [
         f'<h1 id="top">{escape(title)}</h1>',
@@ -111,18 +111,11 @@ def report(
         _truth(rows),
         _matrices(drawn),
         _fleet(fleet),
+        drift,
         *(s.text() for s in drawn),
         _selections(selections),
     ]
-    place = files("viz").joinpath("page")
-    page, sheet, script = (
-        place.joinpath(name).read_text(encoding="utf-8") for name in ("page.html", "style.css", "table.js")
-    )
-    dark, light = variables()
-    return Template(page).substitute(
-        title=escape(title), body="\n".join(p for p in parts if p), script=script,
-        style=Template(sheet).substitute(dark=dark, light=light),
-    )  # fmt: skip
+    return sheet(title, parts)
 
 
 def _cards(rows: Sequence[Row]) -> str:

@@ -34,6 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     made["compare"].add_argument("keys", nargs="+", metavar="KEY", help=two)
     made["compare"].add_argument("--on", nargs="+", metavar="LOG", help="fault-free logs neither has seen")
     made["compare"].add_argument("--details", action="store_true", help="also the rows of single regimes")
+    made["compare"].add_argument("--report", type=Path, metavar="FILE.html", help="a page of it, with plots")
     add_map_arguments(made["compare"])
     made["promote"].add_argument("--force", action="store_true", help="even if it was found worse")
     made["promote"].add_argument("keys", nargs=1, metavar="KEY", help="a key or its beginning")
@@ -177,11 +178,30 @@ def _compare(store: Store, args: argparse.Namespace) -> int:
             f"detectors {champion.key} and {challenger.key} have not been compared; "
             "give fault-free logs that neither has seen with --on"
         )
+    if args.report:
+        _page(found, args.report)
     if args.json:
         print_json(found)
     else:
         print_comparison(found, details=args.details)
     return 0
+
+
+def _page(found: dict[str, Any], path: Path) -> None:
+    """Writes the comparison as a page.
+
+    Raises:
+        StoreError: that cannot be done.
+    """
+    from ingest.errors import StoreError
+    from pipeline.files import write_aside
+    from pipeline.retraining import because
+    from viz.comparison import comparison_page
+
+    try:
+        write_aside(path, comparison_page(found, because(found)).encode())
+    except OSError as error:
+        raise StoreError(f"--report {path}: cannot be written: {error.strerror or error}") from None
 
 
 def _key(store: Store, key: str, recipe: str | None) -> str:

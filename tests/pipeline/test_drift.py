@@ -13,6 +13,7 @@ import pytest
 from ingest.errors import LogError
 from pipeline.cli import main
 from pipeline.drift import drift_report
+from pipeline.reporting import write_report
 from pipeline.summary import summary_frame
 
 RUNS = 24
@@ -102,3 +103,16 @@ def test_what_cannot_be_reported(tmp_path: Path) -> None:
     frame.head(4).write_parquet(folder / "summary.parquet")
     with pytest.raises(LogError, match=r"3 run.* too few to see a drift; at least 5"):
         drift_report(folder)
+
+
+def test_the_report_of_the_batch_shows_the_drift(tmp_path: Path) -> None:
+    folder = batch(tmp_path, step=2.0)
+    assert "Drift from log to log" not in write_report(folder).read_text("utf-8")
+    advice = drift_report(folder)["advice"]
+    page = write_report(folder).read_text("utf-8")
+    assert "mean of r [sigma]" in page
+    assert f"since {advice[0]['since']}: r has moved by" in page
+    assert page.count("<svg") == 1
+    (folder / "drift.json").write_text("{")
+    with pytest.raises(LogError, match="make it again with `dynoscope drift"):
+        write_report(folder)

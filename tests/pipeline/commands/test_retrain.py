@@ -64,6 +64,12 @@ def test_the_challenger_is_kept_compared_and_not_promoted(
     assert main(["detectors", "compare", challenger, "--store", str(own.folder), "--details"]) == 0
     assert "in regime" in capsys.readouterr().out
 
+    page = own.folder.parent / "compared.html"
+    words = ["detectors", "compare", challenger, "--store", str(own.folder), "--report"]
+    assert main([*words, str(page)]) == 0
+    assert f"The challenger is {found['verdict']}" in page.read_text("utf-8")
+    assert main([*words, str(page / "below_a_file.html")]) == 2
+
 
 def test_promotion(own: Store, logs: Path, detector: Detector, capsys: pytest.CaptureFixture[str]) -> None:
     words = [str(logs / "healthy1.parquet"), "--holdout", str(logs / "healthy2.parquet")]
