@@ -30,7 +30,7 @@ from viz.evidence import leading, table
 from viz.layout import KEY_SIGNALS
 from viz.residuals import WIDTH, column, names, view_range
 from viz.series import Array, break_at_gaps, envelope, spans
-from viz.statistics import abscissa, cdf, in_alarm, regime_signature, signature, telling
+from viz.statistics import abscissa, cdf, in_alarm, telling
 from viz.svg import FAINT, INK
 
 POINTS = 480
@@ -42,22 +42,26 @@ LANES = (("injected", lanes.INJECTED), ("diagnosed", lanes.DIAGNOSED), ("regime"
 
 
 def timeline_plot(diagnosis: Diagnosis) -> Any:
-    """A key signal, the most telling residuals with their bands, probabilities, and the lanes."""
+    """A key signal, the most telling residuals with their bands, probabilities, and the lanes; of a log
+    without an alarm one residual and no probabilities."""
     from matplotlib.figure import Figure
 
     samples = diagnosis.samples
-    shown = telling(samples)[:RESIDUALS]
+    alarm = bool(in_alarm(samples).any())
+    shown = telling(samples)[: RESIDUALS if alarm else 1]
     signal = next((n for n in KEY_SIGNALS if _is_there(diagnosis, n)), None)
-    heights = [0.7] * bool(signal) + [1.0] * len(shown) + [0.8, 0.62]
+    heights = [0.7] * bool(signal) + [1.0] * len(shown) + [0.8] * alarm + [0.62]
     figure = Figure(figsize=(INCHES, 1.15 * sum(heights) + 0.5))
     axes = figure.subplots(len(heights), sharex=True, height_ratios=heights, squeeze=False)[:, 0].tolist()
-    figure.subplots_adjust(left=0.075, right=0.99, top=0.965, bottom=0.06, hspace=0.42)
+    inch = 1.0 / figure.get_figheight()
+    figure.subplots_adjust(left=0.075, right=0.99, top=1 - 0.25 * inch, bottom=0.45 * inch, hspace=0.42)
     rest = iter(axes)
     if signal:
         _signal(next(rest), diagnosis, signal)
     for name in shown:
         _residual(next(rest), diagnosis, name)
-    _probabilities(next(rest), samples)
+    if alarm:
+        _probabilities(next(rest), samples)
     _lanes(next(rest), diagnosis)
     axes[-1].set_xlabel("time [s]")
     return figure
@@ -115,7 +119,7 @@ def _probabilities(ax: Any, samples: pl.DataFrame) -> None:
             ax.plot(at, lines[:, i], color=hex_of(of_fault(fault)), label=fault, drawstyle="steps-post")
         ax.legend(loc="center left", ncols=1, borderaxespad=0.2)
     ax.set_ylim(-0.03, 1.05)
-    ax.set_title("probability of each hypothesis" + ("" if shown else ": no alarm"))
+    ax.set_title("probability of each hypothesis")
 
 
 def _lanes(ax: Any, diagnosis: Diagnosis) -> None:
@@ -154,16 +158,15 @@ def _states(time: Array, states: Any, colour: Any) -> list[tuple[float, float, C
 
 
 def distribution_plot(diagnosis: Diagnosis) -> Any:
-    """Distributions of the residuals (dissertation, figure 5.12), the strongest one against the pressure
-    ratio by regime (figure 5.13), and the mean of each in each regime."""
+    """Distributions of the residuals (dissertation, figure 5.12), and the strongest one against the pressure
+    ratio by regime (figure 5.13)."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(INCHES, 2.5))
-    axes = figure.subplots(1, 3, width_ratios=[3, 3, 4])
-    figure.subplots_adjust(left=0.075, right=0.985, top=0.9, bottom=0.2, wspace=0.36)
+    axes = figure.subplots(1, 2)
+    figure.subplots_adjust(left=0.075, right=0.985, top=0.9, bottom=0.2, wspace=0.16)
     _distributions(axes[0], diagnosis.samples)
     _against(axes[1], diagnosis)
-    _regimes(axes[2], diagnosis.samples)
     return figure
 
 
@@ -209,18 +212,6 @@ def _against(ax: Any, diagnosis: Diagnosis) -> None:
     ax.set_title(f"{shown[0]} by regime" + (" · x: in alarm" if alarm.any() else ""))
 
 
-def _regimes(ax: Any, samples: pl.DataFrame) -> None:
-    regimes, shown, means = regime_signature(samples)
-    when = "in alarm" if in_alarm(samples).any() else "over the log"
-    if not regimes:
-        shown, means = list(signature(samples)), np.array([*signature(samples).values()])[:, None]
-    if not shown:
-        ax.set_visible(False)
-        return
-    matrix(ax, means, shown, [lanes.regime_name(r) for r in regimes] or [when], limit=6.0)
-    ax.set_title(f"mean z {when} by regime")
-
-
 def matrix(ax: Any, values: Array, rows: list[str], heads: list[str], *, limit: float) -> None:
     """Numbers on a field from blue (below) to vermillion (above), ``limit`` as deep as it gets."""
     from matplotlib.colors import LinearSegmentedColormap
@@ -264,7 +255,7 @@ def matrices_plot(
         values = [[found.get(f, {}).get(h, np.nan) for h in heads] for f in faults]
         matrix(ax, np.array(values).reshape(len(faults), len(heads)), faults, heads, limit=limit)
     axes[0].set_title("signatures: mean z of each residual in alarm")
-    axes[1].set_title("isolability: lead in evidence over each other [nats: e times as likely]")
+    axes[1].set_title("isolability: lead in evidence [nats: e-fold odds]")
     axes[1].set_yticklabels([])
     for ax in axes:
         for label in ax.get_xticklabels():

@@ -16,15 +16,16 @@ import polars as pl
 
 from stages.results import Chosen, Diagnosis, Magnitude
 from viz.colours import hex_of, of_fault
+from viz.lanes import regime_name
 from viz.plots import distribution_plot, matrices_plot, timeline_plot
 from viz.selection_plot import selection_plot
 from viz.sheet import sheet
-from viz.statistics import leads, signature
+from viz.statistics import in_alarm, leads, regime_signature, signature
 from viz.summary import magnitude_text, summary
 from viz.svg import style, themed
-from viz.tables import confusion, judged, table
+from viz.tables import confusion, judged, shaded, table
 
-VERSION = 4
+VERSION = 5
 """Of a section's looks; another one is drawn anew."""
 QUIET = ("none", "insufficient_evidence")
 Row = Mapping[str, Any]
@@ -53,14 +54,27 @@ def section(diagnosis: Diagnosis, key: str) -> Section:
     """Words and plots of one log."""
     verdict, samples = diagnosis.verdict, diagnosis.samples
     with style():
-        plots = [themed(timeline_plot(diagnosis)), themed(distribution_plot(diagnosis))]
+        plots = [themed(timeline_plot(diagnosis))]
+        if in_alarm(samples).any():  # of a quiet log they would say no more
+            plots.append(themed(distribution_plot(diagnosis)))
     name = escape(verdict.log)
+    plots.append(_by_regime(samples))
     words = _html(summary(diagnosis)).replace("<h2>", f"<h2><a href='#top'>{name}</a> · ", 1)
     return Section(
         log=verdict.log, key=key, fault=verdict.fault,
         signature=signature(samples), leads=leads(samples, verdict.fault),
         html=f'<section class="log" id="{anchor(verdict.log)}">\n{_placed(words, plots)}</section>',
     )  # fmt: skip
+
+
+def _by_regime(samples: pl.DataFrame) -> str:
+    """The mean of each residual in each regime, in sigma."""
+    regimes, shown, means = regime_signature(samples)
+    if not regimes:
+        return ""
+    when = "in alarm" if in_alarm(samples).any() else "over the log"
+    told = shaded(means, shown, [regime_name(r) for r in regimes], limit=6.0)
+    return f'<p class="soft">Mean z {when} by regime: how many sigma each residual is off</p>{told}'
 
 
 def _placed(words: str, plots: Sequence[str]) -> str:

@@ -7,7 +7,10 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
 
-from viz.colours import GREEN, VERMILLION, hex_of
+import numpy as np
+
+from viz.colours import BLUE, GREEN, VERMILLION, hex_of
+from viz.series import Array
 
 Row = Mapping[str, Any]
 
@@ -54,6 +57,28 @@ def confusion(rows: Sequence[Row]) -> str:
     heads = "".join(f"<th>{escape(v)}</th>" for v in verdicts)
     return (
         f'<div class="wide"><table class="confusion"><thead><tr><th>truth \\ verdict</th>{heads}</tr></thead>'
+        f"<tbody>{''.join(body)}</tbody></table></div>"
+    )
+
+
+def shaded(values: Array, rows: Sequence[str], heads: Sequence[str], limit: float) -> str:
+    """Numbers (rows, heads) on fields from blue (below zero) to vermillion (above), ``limit`` as deep as it
+    gets; NaN is an empty field."""
+    body = []
+    for name, row in zip(rows, values, strict=True):
+        cells = [f"<th>{escape(name)}</th>"]
+        for value in row.tolist():
+            if not np.isfinite(value):
+                cells.append("<td></td>")
+                continue
+            colour, share = hex_of(VERMILLION if value > 0 else BLUE)[1:], min(abs(value) / limit, 1.0)
+            shade = f"color-mix(in srgb, var(--{colour}) {100 * share:.0f}%, transparent)"
+            text = f"{value:.0f}" if abs(value) >= 9.95 else f"{value:.1f}"
+            cells.append(f'<td style="background:{shade}">{text}</td>')
+        body.append(f"<tr>{''.join(cells)}</tr>")
+    head = "".join(f"<th>{escape(h)}</th>" for h in heads)
+    return (
+        f'<div class="wide"><table class="confusion"><thead><tr><th></th>{head}</tr></thead>'
         f"<tbody>{''.join(body)}</tbody></table></div>"
     )
 

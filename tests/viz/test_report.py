@@ -127,6 +127,16 @@ def test_what_a_section_says(drawn: Section, diagnosis: Diagnosis) -> None:
     assert drawn.leads["none"] == pytest.approx(best["evidence.boost_leak"])
     assert "Leak in the boost manifold" in drawn.html
     assert drawn.html.count("<svg") == 2
+    regime = in_alarm.filter(pl.col("regime") == in_alarm["regime"][0])
+    assert f">{regime['z.r_dp'].mean():.1f}</td>" in drawn.html
+
+
+def test_a_quiet_log_is_drawn_with_less(diagnosis: Diagnosis, drawn: Section) -> None:
+    samples = diagnosis.samples.with_columns(detection=pl.lit(0, pl.Int8))
+    quiet = section(replace(diagnosis, samples=samples), "key1")
+    assert quiet.html.count("<svg") == 1
+    assert "Mean z over the log by regime" in quiet.html
+    assert "Mean z in alarm by regime" in drawn.html
 
 
 @pytest.mark.filterwarnings("error")
@@ -137,7 +147,7 @@ def test_what_a_section_says(drawn: Section, diagnosis: Diagnosis) -> None:
 def test_little_is_drawn_too(diagnosis: Diagnosis, rows: int, columns: str) -> None:
     samples = diagnosis.samples.select(columns).head(rows)
     drawn = section(replace(diagnosis, samples=samples, operating_map=None), "key")
-    assert drawn.html.count("<svg") == 2
+    assert drawn.html.count("<svg") == 1  # no alarm yet
 
 
 @pytest.mark.parametrize(
