@@ -9,7 +9,7 @@ import rerun as rr
 from stages.results import PAIR, Diagnosis
 from viz import send
 from viz.colours import of_fault
-from viz.series import Array, break_at_gaps
+from viz.series import Array, break_at_gaps, numbers
 
 LEADING = 8
 """Hypotheses in the plots; the others are in the recording beside them."""
@@ -51,6 +51,6 @@ def leading(samples: pl.DataFrame) -> list[str]:
 def _greatest(samples: pl.DataFrame, column: str) -> float:
     if column not in samples.columns or not samples.height:
         return -np.inf
-    values = samples[column].cast(pl.Float64).fill_null(float("nan")).to_numpy()
+    values = numbers(samples[column])
     finite = values[np.isfinite(values)]
     return float(finite.max()) if finite.size else -np.inf

@@ -10,11 +10,10 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-import polars as pl
 from numpy.typing import NDArray
 
 from ingest.log import Group
-from viz.series import Array, bucket_rows, buckets, extremes, gap_rows, usual_step
+from viz.series import Array, bucket_rows, buckets, extremes, gap_rows, numbers, usual_step
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,8 +59,8 @@ class Raster:
         )
 
     def _whole(self, name: str) -> Array:
-        column = self.group.frame[name].cast(pl.Float64).fill_null(float("nan")).to_numpy()
-        return np.insert(column[self._order], self._gaps + 1, np.nan)
+        column = numbers(self.group.frame[name])[self._order]
+        return np.insert(column, self._gaps + 1, np.nan) if self._gaps.size else column
 
     def _empty(self, names: Sequence[str], rows: int) -> NDArray[np.bool_]:
         """The rows without any value."""

@@ -13,7 +13,7 @@ from stages.results import Diagnosis
 from viz import send
 from viz.colours import DETECTED, EXCEEDANCE, GREY, INJECTED, SKY_BLUE
 from viz.lanes import truth
-from viz.series import Array, break_at_gaps, changes, spans, union
+from viz.series import Array, break_at_gaps, changes, numbers, spans, union
 
 WIDTH = 3.0
 """Half-width of the band in sigma, and the |z| beyond which a sample is marked."""
@@ -43,7 +43,7 @@ def names(samples: pl.DataFrame) -> list[tuple[str, str]]:
 
 def column(samples: pl.DataFrame, name: str) -> Array:
     """A numeric column of the samples as float64, shape (rows,), missing values NaN."""
-    return samples[name].cast(pl.Float64).fill_null(float("nan")).to_numpy()
+    return numbers(samples[name])
 
 
 def log_residuals(rec: rr.RecordingStream, diagnosis: Diagnosis) -> list[Residual]:

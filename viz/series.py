@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
+import polars as pl
 from numpy.typing import NDArray
 
 from ingest.log import Log
@@ -14,6 +15,17 @@ Array = NDArray[np.float64]
 
 GAP_STEPS = 5.0
 """A step this many times longer than nearly all others is a gap."""
+
+
+def numbers(values: pl.Series) -> Array:
+    """A numeric column as float64, shape (rows,), missing values NaN.
+
+    >>> numbers(pl.Series([1, None, 3])).tolist()
+    [1.0, nan, 3.0]
+    """
+    if values.null_count() or not values.dtype.is_numeric():
+        values = values.cast(pl.Float64).fill_null(float("nan"))
+    return np.asarray(values.to_numpy(), dtype=np.float64)
 
 
 def at_times(log: Log, name: str, time: Array) -> Array:
