@@ -27,7 +27,7 @@ from pipeline.describing import about
 from pipeline.detector import Detector
 from pipeline.diagnosing import corrected, judge, operating_map, residual_units, samples_table
 from pipeline.outputs import ANNOTATED, SAMPLES, SIGNALS, TIMELINE, VERDICT, annotated, to_json
-from pipeline.samples import Reader, Stored, Writer, thinned, writing
+from pipeline.samples import Reader, Stored, Writer, evenly, thinned, writing
 from stages.monitor import SIGNALS as MONITORED
 from stages.results import Diagnosis, OperatingMap
 from stages.stage import ANALYSIS, run_stages
@@ -67,9 +67,10 @@ def diagnose_parts(
     (draft / VERDICT).write_text(to_json(verdict.to_json()), encoding="utf-8")
     made = Diagnosis(log=log, samples=stored.slice(0, 0), verdict=verdict, units=units, signals=signals)
     reducer = _reducer(seen.quality) if timeline else None
-    _annotate(made, named(), draft, detector, reducer)
+    added = _annotate(made, named(), draft, detector, reducer)
     if reducer:
-        _draw(replace(made, log=reducer.log(log), about=about(detector)), planes, draft)
+        drawn = replace(made, log=reducer.log(log), about=about(detector), signals=_drawn(added, draft))
+        _draw(drawn, planes, draft)
     start, end = seen.quality.span or (0.0, 0.0)
     return log, end - start
 
@@ -114,6 +115,13 @@ def _reducer(known: Quality) -> Reducer:
     return Reducer({name: clock.rows for name, clock in known.clocks.items()})
 
 
+def _drawn(added: Group | None, draft: Path) -> Group | None:
+    """As many of the monitored or corrected readings as can be looked at; None where there are none."""
+    if added is None or not (draft / SIGNALS).is_file():
+        return None
+    return replace(added, frame=evenly(draft / SIGNALS))
+
+
 def _draw(made: Diagnosis, planes: list[OperatingMap], draft: Path) -> None:
     """The recording: the log reduced, and as many samples as can be looked at."""
     from viz.timeline import write_timeline
@@ -123,14 +131,15 @@ def _draw(made: Diagnosis, planes: list[OperatingMap], draft: Path) -> None:
     if planes:
         x, y = (np.concatenate([getattr(p, k) for p in planes])[rows] for k in ("x", "y"))
         plane = replace(planes[-1], x=x, y=y)
-    write_timeline(replace(made, samples=samples, operating_map=plane, signals=None), draft / TIMELINE)
+    write_timeline(replace(made, samples=samples, operating_map=plane), draft / TIMELINE)
 
 
 def _annotate(
     made: Diagnosis, parts: Iterator[Log], draft: Path, detector: Detector, reducer: Reducer | None
-) -> None:
+) -> Group | None:
     """``annotated.mcap``, part by part: the samples beside the rows of the same time, and the readings of an
-    isolated sensor corrected; ``reducer`` sees each part too."""
+    isolated sensor corrected; ``reducer`` sees each part too. Returns the group of these or of the monitored
+    readings, without rows."""
     part: Log | None = next(parts)
     samples, last = Reader(draft / SAMPLES), made.samples
     monitored = Reader(draft / SIGNALS) if made.signals else None
@@ -157,3 +166,4 @@ def _annotate(
             recorder.add(annotated(beside))
             part, last = following, last.tail(1)
         recorder.finish(annotated(made), {})
+    return made.signals

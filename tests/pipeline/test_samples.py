@@ -2,11 +2,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import polars as pl
 import pytest
 
 from pipeline import samples
-from pipeline.samples import Reader, Stored, writing
+from pipeline.samples import Reader, Stored, evenly, writing
 
 
 @pytest.fixture
@@ -44,3 +45,14 @@ def test_rows_in_order_of_time_each_once(frame: pl.DataFrame, path: Path) -> Non
     assert [p.height for p in parts[:4]] == [0, 1, 19, 0]
     assert parts[-1].height == 0
     assert pl.concat(parts).equals(frame)
+
+
+def test_rows_are_taken_evenly_over_all_row_groups(tmp_path: Path) -> None:
+    time = np.arange(1003.0)
+    pl.DataFrame({"time": time, "v": 2 * time}).write_parquet(tmp_path / "s.parquet", row_group_size=70)
+    taken = evenly(tmp_path / "s.parquet", 100)
+    assert taken["time"].to_list() == time[::10].tolist()
+    assert taken["v"].to_list() == (2 * time[::10]).tolist()
+    assert evenly(tmp_path / "s.parquet", 5000).height == 1003
+    pl.DataFrame({"time": time[:0]}).write_parquet(tmp_path / "none.parquet")
+    assert evenly(tmp_path / "none.parquet").columns == ["time"]

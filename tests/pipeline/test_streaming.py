@@ -171,7 +171,12 @@ def test_a_log_in_parts_has_its_timeline(
     residual = np.array(drawn["/residuals/r_cyl/value"]).ravel()
     assert 250 < residual.size < 320
     assert set(residual[np.isfinite(residual)]) <= set(samples["residual.r_cyl"].to_list())
-    assert {"/map/now", "/model", "/alarm", "/cdf/lines"} <= entities
+    assert {"/map/now", "/model", "/alarm", "/cdf/lines", "/sensor/readings", "/sensor/errors"} <= entities
+    kept = pl.read_parquet(folder / "signals.parquet")
+    raw, mended = np.array([v for v in drawn["/sensor/readings"] if np.isfinite(v).all()]).T
+    assert 250 < raw.size < 700
+    assert set(raw) <= set(kept["W_HFM"].to_list())
+    assert set(mended) <= set(kept["W_HFM.corrected"].to_list())
     manifest = json.loads((folder / "manifest.json").read_text())
     assert manifest["shown"]["about"]["models"]
 
