@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import polars as pl
 
@@ -19,6 +19,9 @@ from pipeline.runs import is_run, read_run
 from pipeline.summary import SUMMARY, SUMMARY_SCHEMA, Row, summary_frame, verdict_row
 from pipeline.task import IN_PARTS
 from stages.results import Chosen
+
+if TYPE_CHECKING:
+    from viz.drift import Drifted
 
 REPORT = "report.html"
 DRAWN = 40
@@ -62,7 +65,7 @@ def write_report(out: Path, drawn: int = DRAWN, progress: Progress = lambda word
             f"`dynoscope report {out.name} --drawn N`."
         )
     made.sort(key=lambda s: [r["log"] for r in rows].index(s.log))
-    fleet, drift = fleet_table(summary_frame(rows)), _drift(out, rows)
+    fleet, drift = fleet_table(summary_frame(rows)), drift_of_batch(out, rows)
     text = report(_title(rows, out), rows, made, fleet, notes, selections, drift)
     try:
         write_aside(path, text.encode())
@@ -71,16 +74,16 @@ def write_report(out: Path, drawn: int = DRAWN, progress: Progress = lambda word
     return path
 
 
-def _drift(out: Path, rows: Sequence[Row]) -> str:
-    """What ``dynoscope drift`` has found in the batch, as a part of the page; empty where it was not asked.
+def drift_of_batch(out: Path, rows: Sequence[Row]) -> Drifted | None:
+    """What ``dynoscope drift`` has found in the batch, to be drawn; None where it was not asked.
 
     Raises:
         LogError: its files are damaged.
     """
-    from viz.drift import Moved, drift_part
+    from viz.drift import Drifted, Moved
 
     if not (out / DRIFT).is_file():
-        return ""
+        return None
     try:
         told = json.loads((out / DRIFT).read_text(encoding="utf-8"))
         whole = pl.read_parquet(out / TABLE).filter(pl.col("regime") == ALL)
@@ -96,8 +99,11 @@ def _drift(out: Path, rows: Sequence[Row]) -> str:
                     levels=tuple((s["first"], s["last"], s["level"]) for s in drift["segments"]),
                 )
             )  # fmt: skip
-        vehicles = {row["log"]: row["vehicle"] for row in rows}
-        return drift_part(told["logs"], [vehicles.get(n) for n in told["logs"]], moved, told["advice"])
+        vehicle = {row["log"]: row["vehicle"] for row in rows}
+        return Drifted(
+            vehicles=tuple(vehicle.get(n) for n in told["logs"]), moved=tuple(moved),
+            advice=tuple(f"since {a['since']}: {a['why']}: {a['do']}" for a in told["advice"]),
+        )  # fmt: skip
     except (OSError, ValueError, KeyError, pl.exceptions.PolarsError) as error:
         raise LogError(
             f"the drift report in {out} cannot be read ({error}); make it again with `dynoscope drift {out}`"

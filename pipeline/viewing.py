@@ -82,6 +82,7 @@ def _run(folder: Path) -> Shown:
 
 def _batch(out: Path, runs: Sequence[Path], path: Path) -> list[Shown]:
     """The overview of a batch, and some of its runs, those with a fault first."""
+    from pipeline.reporting import drift_of_batch
     from viz.overview import Overviewed, write_overview
 
     frame = _summary(out)
@@ -92,7 +93,8 @@ def _batch(out: Path, runs: Sequence[Path], path: Path) -> list[Shown]:
         Overviewed(row=row, samples=_told(out / name) if name in laned else None)
         for name, row in rows.items()
     ]
-    write_overview(out.resolve().name, logs, path, opened=min(len(chosen), OPENED))
+    drift = drift_of_batch(out, list(rows.values()))
+    write_overview(out.resolve().name, logs, path, min(len(chosen), OPENED), drift)
     return [path, *(_run(run) for run in chosen[:OPENED])]
 
 

@@ -14,6 +14,7 @@ import rerun.blueprint as rrb
 from stages.results import Magnitude
 from viz import send
 from viz.colours import DIM, of_fault
+from viz.drift import Drifted, log_drift
 from viz.lanes import diagnosed
 from viz.layout import WholeRange, lane_view
 from viz.residuals import column
@@ -37,16 +38,23 @@ class Overviewed:
     samples: pl.DataFrame | None
 
 
-def write_overview(name: str, logs: Sequence[Overviewed], path: Path, opened: int) -> None:
-    """The overview of a batch as a recording of its own, beside those of ``opened`` logs; ``path`` appears
-    whole or not at all."""
+def write_overview(
+    name: str, logs: Sequence[Overviewed], path: Path, opened: int, drift: Drifted | None = None
+) -> None:
+    """The overview of a batch as a recording of its own, beside those of ``opened`` logs, with its ``drift``
+    as a tab; ``path`` appears whole or not at all."""
 
     def fill(rec: rr.RecordingStream) -> None:
         span, pages = _lanes(rec, logs)
         send.markdown(rec, "/summary", overview_text(name, [one.row for one in logs], opened))
         about = rrb.TextDocumentView(origin="/summary", name="Verdicts")
         tabs = rrb.Tabs(*pages) if len(pages) > 1 else pages[0] if pages else None
-        layout = rrb.Horizontal(tabs, about, column_shares=[1, 1]) if tabs else rrb.Horizontal(about)
+        layout: rrb.Container = (
+            rrb.Horizontal(tabs, about, column_shares=[1, 1]) if tabs else rrb.Horizontal(about)
+        )
+        if drift is not None:
+            moved = rrb.Grid(*log_drift(rec, drift), grid_columns=2, name="Drift")
+            layout = rrb.Tabs(rrb.Horizontal(layout, name="Verdicts"), moved)
         blueprint = WholeRange(
             layout,
             rrb.BlueprintPanel(state="expanded"),  # the list of recordings, from here into a log

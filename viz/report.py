@@ -16,6 +16,7 @@ import polars as pl
 
 from stages.results import Chosen, Diagnosis, Magnitude
 from viz.colours import hex_of, of_fault
+from viz.drift import Drifted, drift_part
 from viz.lanes import regime_name
 from viz.plots import distribution_plot, matrices_plot, timeline_plot
 from viz.selection_plot import selection_plot
@@ -110,10 +111,10 @@ def report(
     fleet: pl.DataFrame,
     notes: Sequence[str] = (),
     selections: Sequence[Chosen] = (),
-    drift: str = "",
+    drift: Drifted | None = None,
 ) -> str:
     """The whole page. ``rows``: of the summary; ``drawn``: sections of some of their logs; ``selections``:
-    of the detector's inputs; ``drift``: a part of :func:`viz.drift.drift_part`."""
+    of the detector's inputs; ``drift``: from log to log."""
     known = {s.log for s in drawn}
     parts = [
         f'<h1 id="top">{escape(title)}</h1>',
@@ -125,7 +126,7 @@ def report(
         _truth(rows),
         _matrices(drawn),
         _fleet(fleet),
-        drift,
+        drift_part(drift) if drift else "",
         *(s.text() for s in drawn),
         _selections(selections),
     ]

@@ -13,6 +13,7 @@ from ingest.log import Event, Log
 from stages.results import Diagnosis, Magnitude, Verdict
 from viz.lanes import regime_name, truth, truth_known
 from viz.residuals import column, names, telling_rows
+from viz.statistics import leads
 
 REASONS = 3
 REGIME_ROWS = 40
@@ -74,6 +75,8 @@ def magnitude_text(magnitude: Magnitude) -> str:
 
     >>> magnitude_text(Magnitude(value=-0.1, sd=0.004, unit="1"))
     '-10.0 ± 0.4 %'
+    >>> magnitude_text(Magnitude(value=0.0209, sd=0.0004, unit="1"))
+    '2.09 ± 0.04 %'
     >>> magnitude_text(Magnitude(value=4.02, sd=None, unit="mm"))
     '4.02 mm'
     """
@@ -81,8 +84,8 @@ def magnitude_text(magnitude: Magnitude) -> str:
     value = magnitude.value * scale
     if magnitude.sd is None:
         return f"{value:.3g} {unit}"
-    digits = max(0, 1 - int(np.floor(np.log10(magnitude.sd * scale)))) if magnitude.sd > 0 else 1
-    digits = min(digits, 1 if unit == "%" else 2)
+    first = -int(np.floor(np.log10(magnitude.sd * scale))) if magnitude.sd > 0 else 0
+    digits = min(max(0, first + 1), max(1, first) if unit == "%" else 2, 2)
     return f"{value:.{digits}f} ± {magnitude.sd * scale:.{digits}f} {unit}"
 
 
@@ -174,19 +177,15 @@ def _in_words(name: str, z: Any, when: str, formula: str | None) -> str:
 
 
 def _runner_up(verdict: Verdict, samples: pl.DataFrame) -> list[str]:
-    """How much more evidence the verdict has than the next hypothesis, at its strongest row."""
-    own = f"evidence.{verdict.fault}"
-    if own not in samples.columns or not samples.height:
+    """How much more evidence the verdict has than the next hypothesis, at its strongest row; of pairs those
+    that were likely count."""
+    ahead = leads(samples, verdict.fault)
+    if not ahead:
         return []
-    at = samples.row(samples[own].fill_nan(None).arg_max() or 0, named=True)
-    others = {k: v for k, v in at.items() if k.startswith("evidence.") and k != own and v is not None}
-    if not others or at[own] is None:
-        return []
-    second = max(others, key=lambda name: others[name])
-    lead = at[own] - others[second]
+    second = min(ahead, key=lambda name: ahead[name])
     return [
-        f"evidence for {verdict.fault}: {at[own]:.0f} (log-likelihood ratio to none), "
-        f"{abs(lead):.0f} {'more' if lead >= 0 else 'less'} than for {second.removeprefix('evidence.')}"
+        f"evidence for {verdict.fault}: {ahead['none']:.0f} (log-likelihood ratio to none), "
+        f"{abs(ahead[second]):.0f} {'more' if ahead[second] >= 0 else 'less'} than for {second}"
     ]
 
 

@@ -9,12 +9,14 @@ from typing import Any
 import numpy as np
 import polars as pl
 import pytest
+from rerun.chunk import RrdReader
 
 from ingest.errors import LogError
 from pipeline.cli import main
 from pipeline.drift import drift_report
-from pipeline.reporting import write_report
+from pipeline.reporting import drift_of_batch, write_report
 from pipeline.summary import summary_frame
+from viz.overview import write_overview
 
 RUNS = 24
 
@@ -113,6 +115,15 @@ def test_the_report_of_the_batch_shows_the_drift(tmp_path: Path) -> None:
     assert "mean of r [sigma]" in page
     assert f"since {advice[0]['since']}: r has moved by" in page
     assert page.count("<svg") == 1
+    overview = folder / "overview.rrd"
+    write_overview("batch", [], overview, 0, drift_of_batch(folder, []))
+    (dots,) = (
+        chunk.to_record_batch()["Points2D:positions"].to_pylist()[0]
+        for chunk in RrdReader(overview).stream()
+        if str(chunk.entity_path) == "/drift/plots/r/means"
+    )
+    assert len(dots) == RUNS
+    assert max(y for _, y in dots[RUNS // 2 :]) < min(y for _, y in dots[: RUNS // 2])  # downwards
     (folder / "drift.json").write_text("{")
     with pytest.raises(LogError, match="make it again with `dynoscope drift"):
         write_report(folder)
