@@ -56,7 +56,7 @@ class Drifted:
 
 LEGEND = (
     f"logs in the order of their start, means over samples near steady state. Grey: ±{LIMIT:g} times the "
-    "noise between logs about the first level; line: levels; dashed: where a change would have been noticed."
+    "noise between logs about the first level; orange: levels; yellow: where a change would be noticed."
 )
 
 
