@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import itertools
+import os
+import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -15,6 +18,7 @@ from numpy.typing import NDArray
 from ingest import read_log, write_log
 from ingest.simulators.faults import Fault
 from ingest.simulators.throttle import Throttle, plant_coefficients, simulate_throttle
+from pipeline import batch
 from pipeline.detector import unfitted_detector
 from pipeline.diagnosing import diagnose
 from pipeline.recipe import load_recipe
@@ -136,23 +140,54 @@ def _measure(
 
 
 def end_to_end(seed: int) -> list[dict[str, Any]]:
-    """A 50 s log at 10 kHz: read, aligned, monitored, compensated, verdict."""
+    """CPU seconds of a 50 s log at 10 kHz, the least of three turns.
+
+    To the verdict: read, aligned, monitored, compensated. From file to files: also looked through for what is
+    suspicious, and everything written that a run leaves (samples, signals, annotated log, verdict, manifest)
+    but recording and report. As a command: also Python and its libraries started, and then recording and
+    report."""
     detector = unfitted_detector(load_recipe("throttle"))
-    log = simulate_throttle(
-        seed=seed, faults=[Fault(name="tps_gain", magnitude=-0.4, onset_s=25.0, ramp_s=25.0)]
-    )
+    fault = Fault(name="tps_gain", magnitude=-0.4, onset_s=25.0, ramp_s=25.0)
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "log.parquet"
-        write_log(log, path)
-        diagnose(read_log(path), detector)  # compiles
-        spent = []
-        for _ in range(3):
-            began = time.process_time()
-            verdict = diagnose(read_log(path), detector).verdict
-            spent.append(time.process_time() - began)
-    return [
-        {
-            "what": f"50 s at 10 kHz from Parquet to verdict ({verdict.fault}), one core",
-            "measured": f"{min(spent):.2f} s", "target": "<= 1.5 s", "holds": min(spent) <= 1.5,
+        path, out = Path(folder) / "log.parquet", Path(folder) / "out"
+        write_log(simulate_throttle(seed=seed, faults=[fault]), path)
+        command = f"run {path} --recipe throttle --out {out} --force".split()
+
+        def verdict() -> None:
+            diagnose(read_log(path), detector)
+
+        def files() -> None:
+            batch.run([path], detector, out, batch.Options(timeline=False, force=True))
+
+        def process(*more: str) -> None:
+            words = [sys.executable, "-c", "from pipeline.cli import main; raise SystemExit(main())"]
+            subprocess.run([*words, *command, *more], check=True, capture_output=True)
+
+        quick = ("--no-timeline", "--no-report")
+        ways: dict[str, tuple[Callable[[], None], float | None]] = {
+            "to the verdict": (verdict, None),
+            "from file to files": (files, 1.5),
+            f"`dynoscope run {' '.join(quick)}`": (lambda: process(*quick), None),
+            "`dynoscope run`, with recording and report": (process, None),
         }
-    ]  # fmt: skip
+        rows = []
+        for what, (way, limit) in ways.items():
+            way()  # compiles
+            spent = min(_cpu(way) for _ in range(3))
+            target, holds = (f"<= {limit} s", spent <= limit) if limit else ("", None)
+            rows.append(
+                {
+                    "what": f"50 s at 10 kHz, {what}",
+                    "measured": f"{spent:.2f} s",
+                    "target": target,
+                    "holds": holds,
+                }
+            )
+    return rows
+
+
+def _cpu(way: Callable[[], None]) -> float:
+    """Seconds that this process and those it starts are at work."""
+    began = os.times()
+    way()
+    return sum(os.times()[:4]) - sum(began[:4])

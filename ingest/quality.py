@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import polars as pl
+from numpy.typing import NDArray
 
 from ingest.log import Event, Log
 from ingest.sampling import LISTED, Floats, Sampling, event, number
@@ -27,6 +28,9 @@ _STUCK, _STUCK_S = 20, 3.0  # samples and s
 _RARE = 0.2  # a signal with a larger share of plateaus is one that moves in steps
 _SPIKE = 10.0
 _MANY = 1000  # samples of a part that give an idea of the steps of the whole
+
+
+Indices = NDArray[np.int64]
 
 
 class Run(NamedTuple):
@@ -95,12 +99,19 @@ class Samples:
             self._add_steps(t, x)
 
     def _add_runs(self, t: Floats, x: Floats) -> None:
-        bounds = _bounds(x)
+        first, end = _bounds(x)
         open_, self.open = self.open, None
         if open_ is not None and open_.value != x[0]:
             self._close(open_)
             open_ = None
-        for a, b in bounds:
+        # of the many plateaus between the first and the last run, only long ones are looked at one by one
+        few = end - first >= _STUCK
+        few[[0, -1]] = True
+        values, samples = x[first[~few]], (end - first)[~few]
+        self.plateaus += int(samples.sum())
+        self.at_low += int(samples[values == self.low].sum())
+        self.at_high += int(samples[values == self.high].sum())
+        for a, b in zip(first[few].tolist(), end[few].tolist(), strict=True):
             run = Run(float(t[a]), float(t[b - 1]), float(x[a]), b - a)
             if a == 0 and open_ is not None:
                 run = Run(open_.start, run.end, run.value, run.samples + open_.samples)
@@ -241,15 +252,15 @@ def _squares(x: Floats) -> float:
     return float(np.einsum("i,i->", x, x))  # np.dot would start threads, which wait for one another
 
 
-def _bounds(x: Floats) -> list[tuple[int, int]]:
+def _bounds(x: Floats) -> tuple[Indices, Indices]:
     """First and end index of the first run of equal values, of the last, and of every plateau between."""
     same = x[1:] == x[:-1]
     triple = np.flatnonzero(same[1:] & same[:-1])
     part = np.flatnonzero(np.diff(triple) > 1)
-    first, last = triple[np.append(0, part + 1)[: len(triple)]], triple[np.append(part, -1)[: len(triple)]]
-    runs = list(zip(first.tolist(), (last + _PLATEAU).tolist(), strict=True))
-    if not runs or runs[0][0] > 0:
-        runs.insert(0, (0, 1 + bool(len(same) and same[0])))
-    if runs[-1][1] < len(x):
-        runs.append((len(x) - 1 - bool(same[-1]), len(x)))
-    return runs
+    first = triple[np.append(0, part + 1)[: len(triple)]]
+    end = triple[np.append(part, -1)[: len(triple)]] + _PLATEAU
+    if not len(first) or first[0] > 0:
+        first, end = np.append(0, first), np.append(1 + bool(len(same) and same[0]), end)
+    if end[-1] < len(x):
+        first, end = np.append(first, len(x) - 1 - bool(same[-1])), np.append(end, len(x))
+    return first, end
