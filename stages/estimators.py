@@ -5,6 +5,7 @@ Both give ln[tau, k_s std(w_p), k_p, a_1 ... a_n], which are the indicators up t
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -83,11 +84,18 @@ class Innovations:
         )  # fmt: skip
 
     def _first(self, u: Array, y: Array) -> Fit | None:
-        """With white disturbance, or with the coloured one that predicts clearly better."""
-        fits = [self._fresh(replace(self.structure, colour=phi), u, y) for phi in (0.0, TRIED_COLOUR)]
-        white, coloured = fits
+        """With white disturbance, or with the coloured one that predicts clearly better. Before that is
+        believed, the white one is tried again from there: it may have ended in a wrong minimum."""
+        coloured_too = replace(self.structure, colour=TRIED_COLOUR)
+        white, coloured = (
+            self._best(s, self.start.starts(s, u, y, None), u, y) for s in (self.structure, coloured_too)
+        )
         if white is None or coloured is None or white.loss < coloured.loss + CLEAR:
             return white
+        start = np.append(coloured.p[: self.structure.held], np.zeros(self.structure.noise_order))
+        again = self._best(self.structure, [start], u, y)
+        if again is not None and again.loss < coloured.loss + CLEAR:
+            return again
         return self._coloured(u, y, coloured)
 
     def _coloured(self, u: Array, y: Array, start: Fit) -> Fit:
@@ -104,10 +112,10 @@ class Innovations:
         best = minimize_scalar(lambda v: at(v).loss, bounds=bounds, method="bounded", options={"maxiter": 12})
         return at(best.x)
 
-    def _fresh(self, structure: Structure, u: Array, y: Array) -> Fit | None:
+    def _best(self, structure: Structure, starts: Sequence[Array], u: Array, y: Array) -> Fit | None:
         """The best of the fits from all starts, those without drift first."""
         fits = []
-        for p in self.start.starts(structure, u, y, None):
+        for p in starts:
             none = np.zeros((p.size, p.size))
             near = fit(structure.stiff, u, y, p, p, none).p
             fits.append(fit(structure, u, y, near, near, none))

@@ -77,7 +77,7 @@ class Monitor:
         LogError: another sampling rate than ``rate_hz``; fault-free logs without a usable window.
     """
 
-    version: ClassVar[str] = "2"
+    version: ClassVar[str] = "3"
     learns_from: ClassVar[Literal["training"]] = "training"
     starts_unfitted: ClassVar[bool] = True
     input: str

@@ -113,6 +113,20 @@ def test_a_wrong_minimum_is_left() -> None:
     assert after.x[0] == pytest.approx(np.log(Throttle().tau_TPS), abs=0.2)
 
 
+def test_a_wrong_minimum_is_not_taken_for_colour() -> None:
+    """Here all fits with white disturbance end where the sensor is too slow; one with a coloured does not."""
+    log = simulate_throttle(seed=84002, duration_s=1.0)
+    y, u = log.values("theta_ang"), log.values("e_a")
+    monitor = Monitor(**SETTINGS)
+    estimate = monitor._estimator.estimate(u, y, None, None)
+    assert estimate is not None
+    assert estimate.memory is not None
+    assert estimate.memory.colour == 0.0
+    p = Throttle()
+    expected = np.log([p.tau_TPS, p.k_TPS * p.sd_w_p])
+    np.testing.assert_allclose(estimate.x[:2], expected, atol=0.15)
+
+
 @pytest.mark.parametrize(
     ("changes", "expected"),
     [
