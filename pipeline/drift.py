@@ -98,7 +98,7 @@ def _of_run(folder: Path, row: dict[str, Any]) -> pl.DataFrame | None:
     if REGIME not in samples.columns or not names:
         return None
     gate = pl.col(GATE) if GATE in samples.columns else pl.lit(1.0)
-    steady = samples.filter(gate >= 0.5)
+    steady = samples.filter((gate >= 0.5) & (pl.col("detection") == 0))
     parts = []
     for name in names:
         e, sigma = pl.col(RESIDUAL + name), pl.col(SIGMA + name)
@@ -156,7 +156,7 @@ def _advise(table: pl.DataFrame, names: Sequence[str], series: Sequence[dict[str
         part = whole.filter(pl.col("residual") == s["residual"])
         ratio = (part["sd"] / part["sigma"]).fill_null(np.nan).to_numpy()
         late = ratio[-max(LEAST, len(ratio) // 4) :]
-        if np.nanmedian(late) > WIDER:
+        if np.isfinite(late).any() and np.nanmedian(late) > WIDER:
             yield Advice(
                 do="calibrate again (fit --from champion --calibrate)",
                 why=f"{s['residual']} is {np.nanmedian(late):.1f} times as wide as the detector supposes",

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rerun.chunk import RrdReader
 from rerun.experimental import ViewerClient
 
 from ingest.errors import DynoscopeError, LogError
@@ -81,14 +82,23 @@ def opened(client: ViewerClient, recording: Path) -> None:
     Raises:
         DynoscopeError: it does not load in time.
     """
+    check = "check it with `rerun rrd verify`"
+    try:
+        reader = RrdReader(recording)
+        ids = tuple(f":{one.recording_id}" for one in reader.recordings())
+        timed = any(reader.store(store=one).schema().index_columns() for one in reader.recordings())
+    except (RuntimeError, ValueError) as error:
+        raise DynoscopeError(f"{recording} does not load: {error}; {check}") from None
     client.open(str(recording.resolve()))
     deadline = time.monotonic() + TIMEOUT_S
     while time.monotonic() < deadline:
         state = client.get_state()
-        if not state.loading and any(r.timelines for r in state.recordings):
+        there = [one for one in state.recordings if one.store_id.endswith(ids)]
+        # a recording stands in the list before its data do; one of static data alone has no timeline ever
+        if not state.loading and there and (not timed or any(one.timelines for one in there)):
             return
         time.sleep(0.05)
-    raise DynoscopeError(f"{recording} did not load within {TIMEOUT_S:g} s; check it with `rerun rrd verify`")
+    raise DynoscopeError(f"{recording} did not load within {TIMEOUT_S:g} s; {check}")
 
 
 def tabs(client: ViewerClient) -> Iterator[str]:

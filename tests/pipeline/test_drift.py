@@ -22,9 +22,16 @@ RUNS = 24
 
 
 def batch(
-    folder: Path, *, step: float = 0.0, wide: float = 1.0, outside: float = 0.0, fault: str = "none"
+    folder: Path,
+    *,
+    step: float = 0.0,
+    wide: float = 1.0,
+    outside: float = 0.0,
+    fault: str = "none",
+    alarm: float = 0.0,
 ) -> Path:
-    """Runs of which the second half differs; the summary lists them in no order."""
+    """Runs of which the second half differs; the last share ``alarm`` of it is in alarm, far off. The summary
+    lists them in no order."""
     rng = np.random.default_rng(0)
     rows: list[dict[str, Any]] = []
     for i in range(RUNS):
@@ -32,9 +39,12 @@ def batch(
         n = 200
         level = 0.3 * rng.normal()
         e = level + (step if late else 0.0) + rng.normal(size=n) * (wide if late else 1.0)
+        seen = np.arange(n) >= n * (1.0 - (alarm if late else 0.0))
+        e = np.where(seen, 50.0, e)
         samples = pl.DataFrame({
             "time": np.arange(n) * 0.5, "regime": rng.integers(0, 3, size=n).astype(np.int32),
             "in_domain": rng.uniform(size=n) >= (outside if late else 0.0), "gate": np.ones(n),
+            "detection": seen.astype(np.int8),
             "residual.r": e, "sigma.r": np.ones(n),
         })  # fmt: skip
         name = f"log{i:02d}"
@@ -95,6 +105,15 @@ def test_logs_with_alarms_are_not_to_be_trained_on(tmp_path: Path) -> None:
     (advice,) = drift_report(batch(tmp_path, fault="maf_gain"))["advice"]
     assert advice["why"] == "6 of the last 6 logs have one, most often maf_gain"
     assert "do not train on these logs" in advice["do"]
+
+
+@pytest.mark.parametrize("alarm", [0.4, 1.0])
+def test_samples_in_alarm_say_nothing_of_the_drift(tmp_path: Path, alarm: float) -> None:
+    report = drift_report(batch(tmp_path, alarm=alarm))
+    assert report["advice"] == []
+    whole = pl.read_parquet(tmp_path / "drift.parquet").filter(pl.col("regime") == -1)
+    assert whole["n"][-1] == round(200 * (1.0 - alarm))
+    assert whole.filter(pl.col("n") > 0)["mean"].abs().max() < 2.0  # type: ignore[operator]
 
 
 def test_what_cannot_be_reported(tmp_path: Path) -> None:

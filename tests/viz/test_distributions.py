@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 import pytest
-from rerun.chunk import RrdReader
+from recordings import static
 
 from stages.results import Diagnosis
 from viz.colours import BLUE, VERMILLION
@@ -17,17 +17,6 @@ from viz.model import MODEL, model_text
 from viz.plane import CELL, HEIGHT, ROW, WIDTH
 from viz.statistics import abscissa, regime_signature, telling
 from viz.timeline import write_timeline
-
-
-def static(path: Path) -> dict[str, list[object]]:
-    """Every static component of a recording, by entity and component."""
-    found = {}
-    for chunk in RrdReader(path).stream():
-        if chunk.is_static:
-            batch = chunk.to_record_batch()
-            for name in batch.schema.names:
-                found[f"{chunk.entity_path} {name}"] = batch[name].to_pylist()[0]
-    return found
 
 
 @pytest.fixture(scope="module")

@@ -9,9 +9,9 @@ from PIL import Image
 
 from ingest.errors import DynoscopeError
 from ingest.log import Group, Log
-from stages.results import Diagnosis
+from stages.results import RESIDUAL_EDGES, Chosen, Diagnosis
 from viz import render
-from viz.timeline import write_log_timeline, write_timeline
+from viz.timeline import write_log_timeline, write_selections, write_timeline
 
 needs_driver = pytest.mark.skipif(
     render.software_driver() is None, reason="no software Vulkan driver: apt-get install mesa-vulkan-drivers"
@@ -66,6 +66,21 @@ def test_exceedances_and_the_fault_are_seen(pictures: dict[str, Image.Image]) ->
     residuals = pictures["residuals"]
     early, late = residuals.crop((40, 90, 640, 700)), residuals.crop((700, 90, 1900, 700))
     assert coloured(late, (255, 82, 62), 60) > 50 * max(coloured(early, (255, 82, 62), 60), 1)
+
+
+@needs_driver
+def test_a_recording_without_any_time_opens_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(render, "TIMEOUT_S", 20.0)
+    still = Chosen(
+        name="f", output="y", criterion="pooled", proven=True, candidates=("u",), genes=((0,),),
+        correlation=((1.0, 0.5), (0.5, 1.0)), scores=(-3.0,), history=(5.0, -3.0),
+        residual=(0.125,) * (len(RESIDUAL_EDGES) - 1),
+        spectrum=(1.0,),
+    )  # fmt: skip
+    write_selections([still], "still", tmp_path / "still.rrd")
+    with render.viewer() as client:
+        render.opened(client, tmp_path / "still.rrd")
+        assert list(render.tabs(client))
 
 
 @needs_driver

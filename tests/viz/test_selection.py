@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 import pytest
-from rerun.chunk import RrdReader
+from recordings import static
 
 from stages.results import RESIDUAL_EDGES, Chosen, Diagnosis
 from viz.colours import BLUE, VERMILLION
@@ -24,16 +24,6 @@ ONE = Chosen(
     genes=((1, 2), (0,), ()), scores=(-30.0, -20.0, 5.0), history=(5.0, -20.0, -30.0),
     residual=tuple(np.full(len(RESIDUAL_EDGES) - 1, 0.125)), spectrum=(1.0, 2.0, 0.5, 0.5),
 )  # fmt: skip
-
-
-def static(path: Path) -> dict[str, list[object]]:
-    found = {}
-    for chunk in RrdReader(path).stream():
-        if chunk.is_static:
-            batch = chunk.to_record_batch()
-            for name in batch.schema.names:
-                found[f"{chunk.entity_path} {name}"] = batch[name].to_pylist()[0]
-    return found
 
 
 @pytest.fixture(scope="module")

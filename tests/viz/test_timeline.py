@@ -1,95 +1,21 @@
-"""What is in the recording equals what went in, read back with Rerun's own reader."""
+"""What is in the recording of a run equals what went in."""
 
 from __future__ import annotations
 
-import subprocess
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import polars as pl
 import pytest
-from numpy.typing import NDArray
+from recordings import frames, lane, series, signal, verify
 from rerun.chunk import RrdReader
 
-from ingest.errors import LogError
-from ingest.log import Event, Group, Log, Signal
+from ingest.log import Log
 from stages.results import Diagnosis
-from viz import signals
 from viz.lanes import diagnosed
-from viz.send import VALUES
 from viz.series import gap_rows
-from viz.timeline import write_log_timeline, write_timeline
-from viz.viewer import executable
-
-Array = NDArray[np.float64]
-
-
-def frames(path: Path) -> dict[str, pl.DataFrame]:
-    """Every (entity, component) of a recording as ``time, value`` in order of time; static ones have none."""
-    parts: dict[str, list[pl.DataFrame]] = {}
-    for chunk in RrdReader(path).stream():
-        batch = chunk.to_record_batch()
-        for name in batch.schema.names:
-            if ":" not in name:
-                continue
-            data = {"value": pl.Series(batch[name].to_pylist(), strict=False)}
-            if not chunk.is_static:
-                data = {"time": pl.from_arrow(batch["time"]), **data}  # type: ignore[dict-item]
-            parts.setdefault(f"{chunk.entity_path} {name}", []).append(pl.DataFrame(data))
-    return {
-        k: pl.concat(v).sort("time") if "time" in v[0].columns else pl.concat(v) for k, v in parts.items()
-    }
-
-
-def series(found: dict[str, pl.DataFrame], key: str) -> tuple[Array, Array]:
-    """Times in s, shape (n,), and numbers, shape (n, k)."""
-    frame = found[key]
-    seconds = frame["time"].cast(pl.Int64).to_numpy() / 1e9
-    return seconds, np.array(frame["value"].to_list(), dtype=float)
-
-
-def signal(found: dict[str, pl.DataFrame], group: str, field: str) -> tuple[Array, Array]:
-    """Times in s and values of a signal, both of shape (n,)."""
-    frame = found[f"/signals/{group} {VALUES}"]
-    seconds = frame["time"].cast(pl.Int64).to_numpy() / 1e9
-    return seconds, np.array([row[0][field] for row in frame["value"]], dtype=float)
-
-
-def drawn_lines(path: Path) -> list[tuple[str, str]]:
-    """Field and name of each line of each plot, as the layout has them."""
-    reader = RrdReader(path)
-    (layout,) = reader.blueprints()
-    found: dict[str, dict[str, str]] = {}
-    for chunk in reader.stream(store=layout):
-        batch, entity = chunk.to_record_batch(), str(chunk.entity_path)
-        if "/overrides/signals/" in entity:
-            told = found.setdefault(entity, {})
-            for name in batch.schema.names:
-                if name == "SeriesLines:names":
-                    told["name"] = batch[name].to_pylist()[0][0]
-                if name == "VisualizerInstruction:component_map":
-                    told["field"] = batch[name].to_pylist()[0][0]["selector"].removeprefix(".")
-    return sorted({(told["field"], told["name"]) for told in found.values() if told})
-
-
-def titles(path: Path) -> set[str]:
-    """The titles of all views."""
-    reader = RrdReader(path)
-    (layout,) = reader.blueprints()
-    batches = [chunk.to_record_batch() for chunk in reader.stream(store=layout)]
-    named = [
-        b["ViewBlueprint:display_name"] for b in batches if "ViewBlueprint:display_name" in b.schema.names
-    ]
-    return {row[0] for column in named for row in column.to_pylist()}
-
-
-def lane(found: dict[str, pl.DataFrame], path: str) -> list[tuple[float, str]]:
-    frame = found[f"{path} StateChange:state"]
-    seconds = (frame["time"].cast(pl.Int64) / 1e9).to_list()
-    return [(t, v[0]) for t, v in zip(seconds, frame["value"].to_list(), strict=True)]
+from viz.timeline import write_timeline
 
 
 @pytest.fixture(scope="module")
@@ -102,12 +28,6 @@ def recording(diagnosis: Diagnosis, tmp_path_factory: pytest.TempPathFactory) ->
 @pytest.fixture(scope="module")
 def found(recording: Path) -> dict[str, pl.DataFrame]:
     return frames(recording)
-
-
-def verify(path: Path) -> int:
-    return subprocess.run(
-        [str(executable()), "rrd", "verify", str(path)], capture_output=True, check=False
-    ).returncode
 
 
 def test_rerun_finds_the_recording_sound(recording: Path) -> None:
@@ -262,122 +182,3 @@ def test_missing_values_leave_the_rest(diagnosis: Diagnosis, tmp_path: Path) -> 
     )
     write_timeline(empty, tmp_path / "empty.rrd")
     assert verify(tmp_path / "empty.rrd") == 0
-
-
-def one(frame: dict[str, Any], **log: Any) -> Log:
-    return Log(name="l", groups={"g": Group("g", pl.DataFrame(frame))}, **log)
-
-
-@pytest.mark.parametrize("odd", ["", "/", "a b", "**", "+ /x", "ü°C", "a.b[0]", "\\", "x:y", "-"])
-def test_any_name_can_be_shown(odd: str, tmp_path: Path) -> None:
-    group = Group(odd, pl.DataFrame({"time": [0.0, 1.0], odd + "v": [1.0, 2.0], odd + "s": ["on", "off"]}))
-    path = tmp_path / "odd.rrd"
-    write_log_timeline(Log(name=odd, groups={odd: group}), path)
-    assert verify(path) == 0
-    (drawn,) = drawn_lines(path)
-    assert drawn[1] == odd + "v"
-    (values,) = (f["value"].to_list() for k, f in frames(path).items() if k.endswith(VALUES))
-    assert values == [[{drawn[0]: 1.0}], [{drawn[0]: 2.0}]]
-
-
-def test_rows_out_of_order_are_shown_in_order(tmp_path: Path) -> None:
-    rng = np.random.default_rng(3)
-    order = rng.permutation(500)
-    write_log_timeline(one({"time": order * 0.1, "v": order * 1.0}), tmp_path / "l.rrd")
-    time, values = signal(frames(tmp_path / "l.rrd"), "g", "v")
-    assert values.ravel().tolist() == list(range(500))
-    assert time == pytest.approx(np.arange(500) * 0.1)
-
-
-def test_long_groups_keep_their_peaks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(signals, "BYTES", 60_000)
-    monkeypatch.setattr(signals, "ENVELOPE_POINTS", 1000)
-    monkeypatch.setattr(signals, "FEWEST", 500)
-    values = np.sin(np.arange(20_000) / 50.0)
-    values[12_345] = 99.0
-    write_log_timeline(one({"time": np.arange(20_000) * 1e-3, "v": values}), tmp_path / "l.rrd")
-    found = frames(tmp_path / "l.rrd")
-    _, drawn = signal(found, "g", "v")
-    assert drawn.size <= 1002
-    assert (drawn.max(), drawn.min()) == (99.0, values.min())
-    assert "least and greatest" in found["/summary TextDocument:text"]["value"][0][0]
-
-
-def test_long_groups_keep_every_value_where_it_matters(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(signals, "BYTES", 60_000)
-    monkeypatch.setattr(signals, "FEWEST", 500)
-    rng = np.random.default_rng(5)
-    values = rng.normal(size=20_000)
-    events = (Event(t_start=7.0, kind="sensor_offset", source="truth"),)
-    write_log_timeline(
-        one({"time": np.arange(20_000) * 1e-3, "v": values}, events=events), tmp_path / "l.rrd"
-    )
-    found = frames(tmp_path / "l.rrd")
-    time, drawn = signal(found, "g", "v")
-    near = np.abs(time - 7.0) < 0.2995
-    assert drawn[near].ravel().tolist() == values[6701:7300].tolist()
-    assert (np.diff(time) >= 0).all()
-    assert (drawn.max(), drawn.min()) == (values.max(), values.min())
-    assert drawn.size * (signals.ROW_BYTES + 8) < 1.1 * 60_000
-    assert "every value from 6." in found["/summary TextDocument:text"]["value"][0][0]
-
-
-def test_what_cannot_be_drawn_is_named(tmp_path: Path) -> None:
-    write_log_timeline(one({"time": [0.0], "v": [1], "blob": [b"x"]}), tmp_path / "l.rrd")
-    text = frames(tmp_path / "l.rrd")["/summary TextDocument:text"]["value"][0][0]
-    assert "blob: neither number nor text" in text
-
-
-def test_events_may_reach_beyond_the_log(tmp_path: Path) -> None:
-    events = tuple(
-        Event(t_start=a, t_end=b, kind=k, source="truth")
-        for a, b, k in ((-5.0, 3.0, "maf_gain"), (2.0, 99.0, "boost_leak"))
-    )
-    write_log_timeline(one({"time": np.arange(11.0), "v": np.zeros(11)}, events=events), tmp_path / "l.rrd")
-    states = lane(frames(tmp_path / "l.rrd"), "/fault_injected")
-    assert states == [(0.0, "maf_gain"), (2.0, "boost_leak+maf_gain"), (3.0, "boost_leak"), (10.0, "")]
-
-
-Write = Callable[[Path], None]
-
-
-@pytest.mark.parametrize(
-    ("write", "message"),
-    [
-        (lambda p: write_log_timeline(one({"time": [0.0]}), p / "no" / "l.rrd"), "there is no folder"),
-        (lambda p: write_log_timeline(one({"time": [1e12, 2e12]}), p / "l.rrd"), "expected seconds"),
-        (lambda p: write_log_timeline(Log(name="l", groups={}), p / "l.rrd"), "no samples"),
-    ],
-)
-def test_mistakes_are_explained_and_leave_nothing(write: Write, message: str, tmp_path: Path) -> None:
-    with pytest.raises(LogError, match=message):
-        write(tmp_path)
-    assert not list(tmp_path.iterdir())
-
-
-def test_units_stand_with_their_signals(tmp_path: Path) -> None:
-    frame = pl.DataFrame({"time": [0.0, 1.0], "a": [1.0, 2.0], "b": [1.0, 2.0], "c": [1.0, 2.0]})
-    given = {
-        "a": Signal(name="a", unit="kPa"),
-        "b": Signal(name="b", unit="K"),
-        "c": Signal(name="c", unit="kPa"),
-    }
-    write_log_timeline(Log(name="l", groups={"g": Group("g", frame, given)}), tmp_path / "l.rrd")
-    assert sorted(title for title in titles(tmp_path / "l.rrd") if "[" in title) == ["a, c [kPa]", "b [K]"]
-
-
-def test_plots_of_one_signal_share_the_rows_of_their_group(tmp_path: Path) -> None:
-    """24 bytes of time and id come with a row; 14 signals of 8 bytes that share it stay near 9 each."""
-    rng = np.random.default_rng(7)
-    rows, count = 20_000, 14
-    values = {f"s{i}": rng.normal(size=rows) for i in range(count)}
-    for kind, limit in ((np.float64, 9.1), (np.float32, 5.2)):
-        frame = {"time": np.arange(rows) * 0.02, **{n: v.astype(kind) for n, v in values.items()}}
-        write_log_timeline(one(frame), tmp_path / "whole.rrd")
-        write_log_timeline(one({n: v[:2] for n, v in frame.items()}), tmp_path / "layout.rrd")
-        whole, layout = ((tmp_path / f"{n}.rrd").stat().st_size for n in ("whole", "layout"))
-        assert (whole - layout) / rows / count < limit
-        found = frames(tmp_path / "whole.rrd")
-        assert all((signal(found, "g", n)[1] == v.astype(kind)).all() for n, v in values.items())
