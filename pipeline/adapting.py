@@ -125,7 +125,8 @@ def adapt(
     every = np.arange(len(logs))
     state = commission(drives.but(every[:commissioning]), observer.wears)
     later = drives.but(every[commissioning:])
-    _, seen = follow(state, later, shift[commissioning:], observer.wears, settings or Settings())
+    settings = settings or Settings()
+    _, seen = follow(state, later, shift[commissioning:], observer.wears, settings)
     names = [*detector.recipe.wear]
     rows = [
         {
@@ -139,7 +140,11 @@ def adapt(
         n: {"per_100_drives": w.per_100, "total": w.total, "unit": w.unit}
         for n, w in detector.recipe.wear.items()
     }
-    return {"detector": detector.key, "commissioning": commissioning, "budgets": budgets, "drives": rows}
+    vehicles = sorted({str(v) for log in logs if (v := log.facts.get("vehicle"))})
+    return {
+        "vehicle": ", ".join(vehicles) or None, "detector": detector.key, "commissioning": commissioning,
+        "threshold": settings.threshold, "budgets": budgets, "drives": rows,
+    }  # fmt: skip
 
 
 def _named(observer: Observer, faults: Mapping[int, float]) -> dict[str, float]:

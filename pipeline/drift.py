@@ -24,6 +24,7 @@ Array = NDArray[np.float64]
 ALL = -1  # in place of a regime
 TABLE, REPORT = "drift.parquet", "drift.json"
 LEAST = 5  # drives below which nothing is said
+FEW = 20  # samples of a drive below which it has no mean: those before an alarm may be two or three
 # when to act: share outside the trained domain, a mean's move and a spread's growth over sigma, alarms
 OUTSIDE, MOVED, WIDER, ALARMS = 0.05, 0.5, 1.3, 0.2
 QUIET = ("none", "insufficient_evidence")
@@ -105,8 +106,9 @@ def _of_run(folder: Path, row: dict[str, Any]) -> pl.DataFrame | None:
         known = steady.filter(e.is_finite() & sigma.is_finite() & (sigma > 0))
         w = 1 / sigma**2
         numbers = [
-            pl.len().alias("n"), ((w * e).sum() / w.sum()).alias("mean"), e.std().alias("sd"),
-            (1 / w.mean()).sqrt().alias("sigma"), (~pl.col(IN_DOMAIN)).mean().alias("outside"),
+            pl.len().alias("n"), pl.when(pl.len() >= FEW).then((w * e).sum() / w.sum()).alias("mean"),
+            e.std().alias("sd"), (1 / w.mean()).sqrt().alias("sigma"),
+            (~pl.col(IN_DOMAIN)).mean().alias("outside"),
         ]  # fmt: skip
         of_each = known.group_by(REGIME).agg(numbers).sort(REGIME)
         of_all = known.select(pl.lit(ALL).alias(REGIME), *numbers)

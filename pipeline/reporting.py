@@ -18,6 +18,7 @@ from pipeline.outputs import MANIFEST, SHOWN, VERDICT
 from pipeline.runs import is_run, read_run
 from pipeline.summary import SUMMARY, SUMMARY_SCHEMA, Row, summary_frame, verdict_row
 from pipeline.task import IN_PARTS
+from pipeline.wear import wear_of_batch
 from stages.results import Chosen
 
 if TYPE_CHECKING:
@@ -66,7 +67,7 @@ def write_report(out: Path, drawn: int = DRAWN, progress: Progress = lambda word
         )
     made.sort(key=lambda s: [r["log"] for r in rows].index(s.log))
     fleet, drift = fleet_table(summary_frame(rows)), drift_of_batch(out, rows)
-    text = report(_title(rows, out), rows, made, fleet, notes, selections, drift)
+    text = report(_title(rows, out), rows, made, fleet, notes, selections, drift, wear_of_batch(out))
     try:
         write_aside(path, text.encode())
     except OSError as error:

@@ -14,6 +14,7 @@ from ingest.log import Log
 from pipeline.runs import from_annotated, is_run, read_manifest, read_run, run_folders
 from pipeline.summary import SUMMARY, SUMMARY_SCHEMA, summary_frame
 from pipeline.task import IN_PARTS
+from pipeline.wear import wear_of_batch
 from stages.results import Diagnosis
 
 Shown = Path | Log | Diagnosis
@@ -94,7 +95,7 @@ def _batch(out: Path, runs: Sequence[Path], path: Path) -> list[Shown]:
         for name, row in rows.items()
     ]
     drift = drift_of_batch(out, list(rows.values()))
-    write_overview(out.resolve().name, logs, path, min(len(chosen), OPENED), drift)
+    write_overview(out.resolve().name, logs, path, min(len(chosen), OPENED), drift, wear_of_batch(out))
     return [path, *(_run(run) for run in chosen[:OPENED])]
 
 

@@ -193,7 +193,7 @@ def onset(samples: Table, first: int) -> float:
         S0 = np.cumsum(weight[::-1])[::-1]
         S1 = np.cumsum((weight * np.nan_to_num(e))[::-1])[::-1]
         gain += (S1**2 / np.maximum(2 * S0, 1e-12))[: len(gain)]
-    return float(time[a + int(np.argmax(gain))])
+    return float(time[a + int(np.argmax(gain))]) + 0.0  # a log may begin at -0.0
 
 
 def usable_seconds(samples: Table) -> float:

@@ -9,7 +9,7 @@ from stages.results import PROBABILITY, Diagnosis
 from viz import send
 from viz.colours import GREY, WHITE, Colour, of_index
 from viz.lanes import regime_name
-from viz.plane import CELL, HEIGHT, ROW, WIDTH, Axes, frame, matrix, text
+from viz.plane import CELL, FRAMED, HEIGHT, ROW, WIDTH, Axes, frame, matrix, text
 from viz.residuals import WIDTH as BAND
 from viz.residuals import column, names, view_range
 from viz.series import Array
@@ -21,6 +21,8 @@ SHOWN = 4
 REACH = 12.0
 """z where the distributions' picture ends."""
 SAMPLES = 4000
+NAMES = 24.0
+"""Room for the names of the lines, beside the picture."""
 
 
 def log_distributions(rec: rr.RecordingStream, diagnosis: Diagnosis) -> dict[str, str]:
@@ -52,8 +54,10 @@ def log_distributions(rec: rr.RecordingStream, diagnosis: Diagnosis) -> dict[str
 
 def bounds(path: str, diagnosis: Diagnosis) -> tuple[tuple[float, float], tuple[float, float]]:
     """What a picture needs to be seen whole: x and y limits of its plane."""
+    if path == CDF:
+        return (FRAMED[0][0], WIDTH + NAMES), FRAMED[1]
     if path != BY_REGIME:
-        return (-10.0, WIDTH + 5.0), (-HEIGHT - 9.0, 12.0)
+        return FRAMED
     regimes, shown, _ = regime_signature(diagnosis.samples)
     return (-2.2 * CELL, (max(len(regimes), 1) + 0.3) * CELL), (-2.0 * ROW, (len(shown) + 0.3) * ROW)
 
@@ -79,7 +83,7 @@ def _log_cdf(rec: rr.RecordingStream, diagnosis: Diagnosis, shown: list[str]) ->
     edges = [axes.place(np.array([[x, 0.0], [x, 1.0]])) for x in (-BAND, BAND)]
     rec.log(f"{CDF}/band", rr.LineStrips2D(edges, colors=GREY, radii=rr.Radius.ui_points(1.0)), static=True)
     for i, name in enumerate(shown):
-        text(rec, f"{CDF}/names/{i}", [[14.0, -HEIGHT + 6.0 + 5.5 * i]], [name], of_index(i))
+        text(rec, f"{CDF}/names/{i}", [[WIDTH + NAMES / 2, -HEIGHT + 3.0 + 6.0 * i]], [name], of_index(i))
 
 
 def _within(x: Array, share: Array) -> Array:

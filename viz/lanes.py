@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 import polars as pl
@@ -82,7 +83,11 @@ def log_event_lanes(rec: rr.RecordingStream, log: Log) -> list[str]:
     """Lanes of the log's own events: injected faults and remarks on its quality."""
     if not any(group.frame.height for group in log.groups.values()):
         return []
-    quality = [event for event in log.events if event.source == "quality"]
+    quality = [
+        replace(event, kind=f"{event.kind} {event.channel}") if event.channel else event
+        for event in log.events
+        if event.source == "quality"
+    ]
     paths = []
     if truth_known(log):
         _log_events(rec, INJECTED, log, truth(log), "none", of_fault)

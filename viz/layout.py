@@ -16,7 +16,7 @@ from viz.layers import FINDINGS, residual_layers
 from viz.model import MODEL
 from viz.monitoring import ERRORS, POLES, READINGS, TRUTH, Monitored
 from viz.operating_map import MAP, SOM, TRAIL_S
-from viz.plane import HEIGHT, WIDTH
+from viz.plane import BACKGROUND, FRAMED, plane_view
 from viz.residuals import Residual
 from viz.selection import selection_tabs
 from viz.send import TIMELINE
@@ -29,7 +29,6 @@ OVERVIEW_RESIDUALS = 3
 PANELS_PER_PAGE = 12
 LANES_BELOW = 6
 LANES_HEAD, LANE = 0.058, 0.042  # of a screen's height
-BACKGROUND = (16, 17, 20)
 _GLOBAL_VIEW = "view/5c0dca6a-e63f-9cf7-f657-2602590474cc"  # of the viewer, re_viewer_context; not public
 
 
@@ -188,8 +187,8 @@ def _distributions(spread: Mapping[str, str], diagnosis: Diagnosis) -> rrb.Conta
         if path == LEADS:
             views.append(rrb.TextDocumentView(origin=path, name=title))
         else:
-            views.append(_plane_view(path, title, *bounds(path, diagnosis)))
-    return rrb.Grid(*views, grid_columns=2, name="Distributions")
+            views.append(plane_view(path, title, bounds(path, diagnosis)))
+    return rrb.Grid(*views, grid_columns=3 if len(views) == 3 else 2, name="Distributions")
 
 
 def _model() -> rrb.Container:
@@ -212,7 +211,7 @@ def _compensation(monitored: Monitored, lanes: Sequence[str]) -> rrb.Container:
         parts.append(rrb.Vertical(*plots, *fault_lanes(shown), row_shares=shares))
     if monitored.poles:
         title = "Poles of plant and sensor · distance in decades · dark to bright: time · white: cursor"
-        parts.append(_plane_view(POLES, title, *monitored.poles))
+        parts.append(plane_view(POLES, title, monitored.poles))
     return rrb.Horizontal(*parts, column_shares=[3, 2][: len(parts)], name="Compensation")
 
 
@@ -222,22 +221,8 @@ def map_view() -> rrb.Spatial2DView:
         start=rrb.TimeRangeBoundary.cursor_relative(seconds=-TRAIL_S),
         end=rrb.TimeRangeBoundary.cursor_relative(),
     )
-    return rrb.Spatial2DView(
-        origin=MAP,
-        name=f"Operating map · samples by regime · white: cursor and the {TRAIL_S:.0f} s before",
-        background=rrb.Background(color=BACKGROUND),
-        visual_bounds=rrb.VisualBounds2D(x_range=[-10, WIDTH + 5], y_range=[-HEIGHT - 9, 12]),
-        overrides={f"{MAP}/trail": [trail]},
-    )
-
-
-def _plane_view(path: str, title: str, x: tuple[float, float], y: tuple[float, float]) -> rrb.Spatial2DView:
-    return rrb.Spatial2DView(
-        origin=path,
-        name=title,
-        background=rrb.Background(color=BACKGROUND),
-        visual_bounds=rrb.VisualBounds2D(x_range=list(x), y_range=list(y)),
-    )
+    title = f"Operating map · samples by regime · white: cursor and the {TRAIL_S:.0f} s before"
+    return plane_view(MAP, title, FRAMED, {f"{MAP}/trail": [trail]})
 
 
 def _signal_view(panel: Panel) -> rrb.TimeSeriesView:
@@ -249,9 +234,9 @@ def _signal_view(panel: Panel) -> rrb.TimeSeriesView:
 
 def _residual_view(residual: Residual, lanes: Sequence[str], legend: bool = False) -> rrb.TimeSeriesView:
     low, high = residual.range
-    scale = f"{residual.title} from {low:.2g} to {high:.2g}"
+    scale = f"±{high:.2g}" if abs(low + high) < 1e-6 * (high - low) else f"{low:.2g} to {high:.2g}"
     known = " · white bar: injected" if INJECTED in lanes else ""
-    title = f"{scale} · grey ±3 sigma · red beyond · yellow: detected{known}"
+    title = f"{residual.title} · scale {scale} · grey: ±3 sigma · red: beyond · yellow: alarm{known}"
     paths = [f"{residual.path}/**", f"{residual_layers(residual.name)}/**"]
     return plot(title, paths, residual.range, legend=legend)
 

@@ -22,6 +22,7 @@ from viz.series import lane
 from viz.summary import WORDS, magnitude_text, table
 from viz.tables import judged
 from viz.timeline import write_recording
+from viz.wear import Worn, log_wear
 
 PER_PAGE = 14
 SAMPLES = ("time", "detection")
@@ -39,10 +40,15 @@ class Overviewed:
 
 
 def write_overview(
-    name: str, logs: Sequence[Overviewed], path: Path, opened: int, drift: Drifted | None = None
+    name: str,
+    logs: Sequence[Overviewed],
+    path: Path,
+    opened: int,
+    drift: Drifted | None = None,
+    worn: Sequence[Worn] = (),
 ) -> None:
     """The overview of a batch as a recording of its own, beside those of ``opened`` logs, with its ``drift``
-    as a tab; ``path`` appears whole or not at all."""
+    and the wear of its vehicles (``worn``) as tabs; ``path`` appears whole or not at all."""
 
     def fill(rec: rr.RecordingStream) -> None:
         span, pages = _lanes(rec, logs)
@@ -52,9 +58,14 @@ def write_overview(
         layout: rrb.Container = (
             rrb.Horizontal(tabs, about, column_shares=[1, 1]) if tabs else rrb.Horizontal(about)
         )
-        if drift is not None:
-            moved = rrb.Grid(*log_drift(rec, drift), grid_columns=2, name="Drift")
-            layout = rrb.Tabs(rrb.Horizontal(layout, name="Verdicts"), moved)
+        over_logs = {"Drift": log_drift(rec, drift) if drift else [], "Wear": log_wear(rec, worn)}
+        more = [
+            rrb.Grid(*views, grid_columns=2 if len(views) <= 4 else 3, name=tab)
+            for tab, views in over_logs.items()
+            if views
+        ]
+        if more:
+            layout = rrb.Tabs(rrb.Horizontal(layout, name="Verdicts"), *more)
         blueprint = WholeRange(
             layout,
             rrb.BlueprintPanel(state="expanded"),  # the list of recordings, from here into a log

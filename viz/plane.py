@@ -5,17 +5,23 @@ Rerun has no plot of one value against another, so these are drawn by hand in it
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import rerun as rr
+import rerun.blueprint as rrb
 
 from viz.colours import BLUE, DIM, GREY, VERMILLION, WHITE, Colour
 from viz.series import Array, limits, tick_step
 
 WIDTH, HEIGHT = 100.0, 75.0
+Range = tuple[float, float]
+FRAMED: tuple[Range, Range] = (-10.0, WIDTH + 5.0), (-HEIGHT - 9.0, 15.0)
+"""Limits across and downwards of what :func:`frame` draws."""
+BACKGROUND = (16, 17, 20)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,6 +60,17 @@ def frame(rec: rr.RecordingStream, path: str, axes: Axes, across: str, up: str) 
     rec.log(f"{path}/grid", rr.LineStrips2D(grid, colors=DIM, radii=rr.Radius.ui_points(0.5)), static=True)
     text(rec, f"{path}/ticks", at, words, GREY)
     text(rec, f"{path}/axes", [[WIDTH / 2, 7.5], [8.0, -HEIGHT - 4.5]], [across, up], WHITE)
+
+
+def plane_view(
+    path: str, title: str, bounds: tuple[Range, Range] = FRAMED, overrides: Mapping[Any, Any] | None = None
+) -> rrb.Spatial2DView:
+    """The view of a picture below ``path``."""
+    across, down = bounds
+    return rrb.Spatial2DView(
+        origin=path, name=title, background=rrb.Background(color=BACKGROUND), overrides=overrides,
+        visual_bounds=rrb.VisualBounds2D(x_range=list(across), y_range=list(down)),
+    )  # fmt: skip
 
 
 def _box() -> list[list[list[float]]]:

@@ -25,6 +25,7 @@ from viz.statistics import in_alarm, leads, regime_signature, signature
 from viz.summary import magnitude_text, summary
 from viz.svg import style, themed
 from viz.tables import confusion, judged, shaded, table
+from viz.wear import Worn, wear_part
 
 VERSION = 5
 """Of a section's looks; another one is drawn anew."""
@@ -112,9 +113,10 @@ def report(
     notes: Sequence[str] = (),
     selections: Sequence[Chosen] = (),
     drift: Drifted | None = None,
+    worn: Sequence[Worn] = (),
 ) -> str:
     """The whole page. ``rows``: of the summary; ``drawn``: sections of some of their logs; ``selections``:
-    of the detector's inputs; ``drift``: from log to log."""
+    of the detector's inputs; ``drift`` and the wear of vehicles (``worn``): from log to log."""
     known = {s.log for s in drawn}
     parts = [
         f'<h1 id="top">{escape(title)}</h1>',
@@ -127,6 +129,7 @@ def report(
         _matrices(drawn),
         _fleet(fleet),
         drift_part(drift) if drift else "",
+        wear_part(worn) if worn else "",
         *(s.text() for s in drawn),
         _selections(selections),
     ]
@@ -198,7 +201,7 @@ def _cell(name: str, row: Row, known: set[str]) -> tuple[str, bool]:
         return f'<td class="{"good" if value == "correct" else "bad"}">{text}</td>', True
     if name == "mil":
         return "<td>on</td>", True
-    if name == "reason":
+    if name in ("reason", "fault_codes"):
         return f'<td class="why">{text}</td>', True
     if name == "magnitude":
         size = Magnitude(value=float(value), sd=row["magnitude_sd"], unit=row["unit"] or "1")
@@ -260,6 +263,10 @@ def _fleet(fleet: pl.DataFrame) -> str:
         "fault_codes": "fault codes after the last log", "mil": "lamp",
     }  # fmt: skip
     rows = fleet.with_columns(mil=pl.when("mil").then(pl.lit("on"))).fill_null("").iter_rows(named=True)
-    body = [[f"<td>{escape(str(row[c]))}</td>" for c in columns] for row in rows]
+    long = ("faults", "fault_codes")
+    body = [
+        [f'<td class="{"why" if c in long else ""}">{escape(str(row[c]))}</td>' for c in columns]
+        for row in rows
+    ]
     head = "<h2>Vehicles, as on-board diagnosis sees them</h2>"
     return head + table(list(columns.values()), body, [""] * len(body), "vehicles")

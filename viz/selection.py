@@ -11,7 +11,7 @@ import rerun.blueprint as rrb
 
 from stages.results import RESIDUAL_EDGES, Chosen
 from viz.colours import BLUE, GREY, ORANGE, SKY_BLUE, VERMILLION, WHITE
-from viz.plane import HEIGHT, WIDTH, Axes, frame, text
+from viz.plane import FRAMED, Axes, frame, plane_view, text
 from viz.send import entity
 from viz.series import Array
 
@@ -73,17 +73,10 @@ def _path(one: Chosen, picture: str) -> str:
 
 def _views(one: Chosen) -> list[rrb.View]:
     size = FIELD * (len(one.candidates) + 1)
-    plane, wide = ((-12.0, WIDTH + 5.0), (-HEIGHT - 9.0, 12.0)), (-1.2 * FIELD, size + 3.0 * FIELD)
+    plane, wide = ((-12.0, FRAMED[0][1]), FRAMED[1]), (-1.2 * FIELD, size + 3.0 * FIELD)
     bounds = {CORRELATION: (wide, wide)}
-    return [
-        rrb.Spatial2DView(
-            origin=_path(one, picture), name=title, background=rrb.Background(color=BACKGROUND),
-            visual_bounds=rrb.VisualBounds2D(
-                x_range=list(bounds.get(picture, plane)[0]), y_range=list(bounds.get(picture, plane)[1])
-            ),
-        )
-        for picture, title in titles(one).items()
-    ]  # fmt: skip
+    shown = titles(one).items()
+    return [plane_view(_path(one, picture), title, bounds.get(picture, plane)) for picture, title in shown]
 
 
 def _log_correlation(rec: rr.RecordingStream, path: str, one: Chosen) -> None:

@@ -19,6 +19,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--commissioning", type=int, default=10, metavar="N",
         help="so many of the first logs are the reference; a fault in them is invisible (default 10)",
     )  # fmt: skip
+    parser.add_argument(
+        "--out", type=Path, metavar="OUT",
+        help="the folder of a batch: leaves wear.json there, which `report OUT` and `view OUT` draw",
+    )  # fmt: skip
     add_map_arguments(parser)
     parser.add_argument("--json", action="store_true", help="print the report as JSON")
 
@@ -27,9 +31,10 @@ def run(args: argparse.Namespace) -> int:
     from ingest.files import find_logs
     from pipeline.adapting import adapt
     from pipeline.commands.retrain import read_all
-    from pipeline.console import Problems, print_json, print_table, progress
+    from pipeline.console import Problems, print_json, print_table, progress, talk
     from pipeline.recipe import load_recipe
     from pipeline.store import Store
+    from pipeline.wear import check_batch, faults_of, keep_wear, state_of
 
     problems = Problems()
     with problems:
@@ -38,19 +43,23 @@ def run(args: argparse.Namespace) -> int:
         detector = Store(args.store).get(recipe.name, args.detector)
     with problems:
         paths = find_logs(args.logs)
+    with problems:
+        if args.out is not None:
+            check_batch(args.out)
     problems.raise_any()
     logs = read_all({"logs": paths}, names, problems)["logs"]
     with progress("following", len(logs)) as step:
         report = adapt(logs, detector, args.commissioning, progress=step)
+    if args.out is not None:
+        talk(f"wrote {keep_wear(args.out, report)}")
     if args.json:
         print_json(report)
         return 0
     rows = []
     for d in report["drives"]:
         wear = {n: f"{w['value']:.3g} +- {w['sd']:.1g}" for n, w in d["wear"].items()}
-        faults = ", ".join(f"{f} {x:+.2g}" for f, x in d["faults"].items())
-        state = "alarm" if d["alarm"] else None if d["learned"] else "rests"
-        rows.append({"log": d["log"], "evidence": d["T"], "": state, "faults": faults, **wear})
+        state = {"learned from": None}.get(state_of(d), state_of(d))
+        rows.append({"log": d["log"], "evidence": d["T"], "": state, "faults": faults_of(d), **wear})
     print_table(rows, {k: k for k in rows[0]})
     for name, b in report["budgets"].items():
         unit = "" if b["unit"] == "1" else f" {b['unit']}"

@@ -15,6 +15,8 @@ from pipeline.adapting import adapt
 from pipeline.cli import main
 from pipeline.detector import Detector
 from pipeline.store import Store
+from pipeline.summary import summary_frame
+from pipeline.wear import wear_of_batch
 
 
 @pytest.fixture(scope="module")
@@ -76,3 +78,9 @@ def test_by_command(
     assert "day6" in said
     assert main([*words, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["commissioning"] == 6
+    assert main([*words, "--out", str(tmp_path)]) == 2
+    assert "is not the folder of a batch" in capsys.readouterr().err
+    summary_frame([]).write_parquet(tmp_path / "summary.parquet")
+    assert main([*words, "--out", str(tmp_path)]) == 0
+    (worn,) = wear_of_batch(tmp_path)
+    assert (worn.vehicle, worn.logs) == ("2.2 l diesel van, simulated", ("day6",))

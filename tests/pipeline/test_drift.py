@@ -139,7 +139,7 @@ def test_the_report_of_the_batch_shows_the_drift(tmp_path: Path) -> None:
     (dots,) = (
         chunk.to_record_batch()["Points2D:positions"].to_pylist()[0]
         for chunk in RrdReader(overview).stream()
-        if str(chunk.entity_path) == "/drift/plots/r/means"
+        if str(chunk.entity_path) == "/drift/plots/r/dots"
     )
     assert len(dots) == RUNS
     assert max(y for _, y in dots[RUNS // 2 :]) < min(y for _, y in dots[: RUNS // 2])  # downwards

@@ -108,7 +108,14 @@ def test_lanes_say_what_the_samples_say(found: dict[str, pl.DataFrame], diagnosi
         row = np.searchsorted(np.array(at), time + 1e-8, side="right") - 1
         assert [names[i] for i in row] == states, path
     assert lane(found, "/fault_injected")[:2] == [(0.0, "none"), (200.0, "boost_leak")]
-    assert [state for _, state in lane(found, "/quality")] == ["good", "spike", "good", "gap", "good", ""]
+    assert [state for _, state in lane(found, "/quality")] == [
+        "good",
+        "spike p_Bst",
+        "good",
+        "gap",
+        "good",
+        "",
+    ]
 
 
 def test_probabilities_and_evidence_equal_the_samples(
