@@ -6,8 +6,18 @@ what differs from run to run: for a step ``age`` s ago the sums are those of the
 of the point after it, with any offset, the same before and after.
 
 An alarm begins where some evidence has been above its threshold for ``confirm`` s, and the episode's sums
-begin anew. It ends where over some memory, the shortest aside, that lies within the episode the log as it is
-has been better than the named fault by that fault's threshold, or no fault has evidence any more.
+and those of the long memories begin anew. It ends where since some time the log as it is has been better than
+the named fault by that fault's threshold, and no fault is much better, or where no fault has evidence. As for
+Page's cumulative sum, those sums begin anew whenever the named fault is as good; at the end they become
+those of the memories.
+
+The size of a fault may change. With M the sums over such a memory and E the episode's, the named fault has
+changed if it explains M and E - M at two sizes better than E at one, by ``change``:
+
+    max L(M) + max L(E - M) - max L(E) > change,    maxima over its sizes.
+
+The episode then is no longer than that memory: a growing fault is judged by what it has grown to. This takes
+a memory that would raise the alarm itself.
 """
 
 from __future__ import annotations
@@ -59,12 +69,14 @@ class Settings(NamedTuple):
     decide: float
     temper: float
     penalty: float
+    change: float
 
 
 class Memory(NamedTuple):
     """What the recursion remembers, changed in place: sums by memory (the episode's and the rest's last),
     residual and point; those since the last decision; those of the rest at earlier seconds and their times;
-    where it began; log-likelihood ratios that an episode began with; clocks; the largest evidence so far, and
+    where it began; log-likelihood ratios that an episode began with; sums since the named fault was last as good
+as none; clocks; the largest evidence so far, and
     the smallest size that would have been seen; the last decision."""
 
     S: Array
@@ -73,6 +85,7 @@ class Memory(NamedTuple):
     times: Array
     place: Array
     kept: Array
+    ended: Array
     clocks: Array
     largest: Array
     detectable: Array
@@ -120,6 +133,8 @@ def settle(memory: Memory, settings: Settings) -> None:  # pragma: no cover - co
     passed, two = memory.clocks[FADED], settings.sd[:, 1] > 0
     for i in range(len(memory.S) if len(settings.ages) else len(memory.S) - 1):
         fade(memory.S[i], np.exp(-passed / settings.memories[i]), memory.fresh, two)
+    if memory.clocks[ALARM] == 1:
+        memory.ended[:] += memory.fresh
     memory.fresh[:] = 0.0
     memory.clocks[FADED] = 0.0
 
@@ -211,13 +226,48 @@ def note_detectable(
 
 
 @njit(cache=True)
+def ends(memory: Memory, settings: Settings, grid: Grid) -> bool:  # pragma: no cover - compiled
+    """Whether the fault is over; begins ``ended`` anew where it is not."""
+    clocks, f = memory.clocks, int(memory.clocks[NAMED])
+    L = log_likelihoods(memory.ended, settings.sd, settings.unknown_sd)
+    named = L[nearest(grid.points[f, : grid.counts[f]], grid.sizes[f], clocks[SIZE])]
+    if named >= L[0]:
+        memory.ended[:] = 0.0
+    better = np.max(L[:-1]) - L[0]
+    over = L[0] - named > settings.threshold[1, f] and better < 0.5 * settings.threshold[1, f]
+    return clocks[SINCE] > settings.memories[1] and (over or clocks[EVIDENCE] <= 0.0)  # known well enough
+
+
+@njit(cache=True)
+def shorten(memory: Memory, settings: Settings, grid: Grid) -> None:  # pragma: no cover - compiled
+    """Let the episode be no longer than the memory over which the named fault has another size than before."""
+    S, clocks, T = memory.S, memory.clocks, len(memory.S) - 2
+    f = int(clocks[NAMED])
+    points = grid.points[f, : grid.counts[f]]
+    whole = np.max(log_likelihoods(S[T], settings.sd, settings.unknown_sd)[points])
+    gain, since = settings.change, 0
+    for i in range(1, T):
+        if settings.memories[i] < clocks[SINCE]:
+            L = log_likelihoods(S[i], settings.sd, settings.unknown_sd)
+            recent = np.max(L[points])
+            if recent - L[0] < settings.threshold[i, f]:  # no fault, or too little to say
+                continue
+            before = np.max(log_likelihoods(S[T] - S[i], settings.sd, settings.unknown_sd)[points])
+            if recent + before - whole > gain:
+                gain, since = recent + before - whole, i
+    if since > 0:
+        S[since : T + 1] = S[since]
+        memory.kept[:] = 0.0
+        clocks[SINCE] = settings.memories[since]
+
+
+@njit(cache=True)
 def decide(
     memory: Memory, settings: Settings, grid: Grid, elapsed: float
 ) -> None:  # pragma: no cover - compiled
     """Evidence over every memory; the alarm's begin and end; ``elapsed`` s since the last decision."""
     S, clocks, T, F = memory.S, memory.clocks, len(memory.S) - 2, grid.points.shape[0]
     memory.statistic[0], memory.evidence[:] = -np.inf, -np.inf
-    over = False
     for i in range(T + len(settings.ages)):
         stepped = i >= T
         if stepped:
@@ -227,10 +277,6 @@ def decide(
         else:
             L = log_likelihoods(S[i], settings.sd, settings.unknown_sd)
         evidence, size, size_sd = evidence_of(L, grid)
-        if clocks[ALARM] == 1 and not stepped and i >= 1 and settings.memories[i] < clocks[SINCE]:
-            f = int(clocks[NAMED])
-            named = L[nearest(grid.points[f, : grid.counts[f]], grid.sizes[f], clocks[SIZE])] - L[0]
-            over = over or named < -settings.threshold[i, f]
         if clocks[ALARM] == 0 and not stepped:
             note_detectable(L, settings.threshold[i], grid, memory.detectable)
         for f in range(F):
@@ -244,13 +290,13 @@ def decide(
             if evidence[f] > memory.evidence[f]:
                 memory.evidence[f], memory.size[f], memory.size_sd[f] = evidence[f], size[f], size_sd[f]
         memory.evidence[F] = max(memory.evidence[F], evidence[F] - settings.penalty)
-    holds = over or clocks[EVIDENCE] < 0.0 if clocks[ALARM] == 1 else memory.statistic[0] > 0
+    holds = ends(memory, settings, grid) if clocks[ALARM] == 1 else memory.statistic[0] > 0
     # a long time without samples confirms nothing
     clocks[HELD] = clocks[HELD] + min(elapsed, 2.0 * settings.decide) if holds else 0.0
     clocks[SINCE] += elapsed
     if clocks[HELD] >= settings.confirm:
         if clocks[ALARM] == 0:
-            S[T] = 0.0
+            S[2 : T + 1] = 0.0
             for p in range(len(grid.prior)):
                 if grid.prior[p] > -np.inf:
                     memory.kept[p] = 0.0
@@ -258,7 +304,8 @@ def decide(
             for p in range(len(grid.prior)):
                 memory.kept[-1] = max(memory.kept[-1], memory.kept[p])
         else:
-            S[2:T] = S[1]  # what the long memories hold is over
+            S[:T] = memory.ended
+        memory.ended[:] = 0.0
         begins = 1.0 - clocks[ALARM]
         clocks[:RESTED] = 0.0
         clocks[ALARM] = begins
@@ -302,6 +349,7 @@ def follow(
             if len(settings.ages):
                 note_rest(memory)
             if clocks[ALARM] == 1:
+                shorten(memory, settings, grid)
                 judge(memory, settings, grid)
             else:
                 memory.p[:] = 0.0

@@ -18,7 +18,8 @@ at a novelty of 1 to 0 at ``known_to``.
 
 The alarm statistic is the largest amount by which the evidence of a fault over a memory exceeds its
 threshold; it must be positive for ``confirm_s``. From then on the evidence is that of the episode, which
-starts afresh (after a step, from the step's evidence) and forgets with the longest memory. ``p`` is the
+starts afresh (after a step, from the step's evidence) and forgets with the longest memory, or what was before
+the fault's size changed, which must explain ``change`` more. ``p`` is the
 softmax of the evidence times ``temper``, as samples are correlated beyond ``tau_c``.
 """
 
@@ -99,6 +100,7 @@ class Isolate:
     temper: float = 0.5
     unknown_sd: float = 30.0
     unknown_penalty: float = 60.0
+    change: float = 20.0
     learned: Arrays = field(default_factory=dict)
     before: tuple[Stage, ...] = ()
 
@@ -182,6 +184,7 @@ class Isolate:
             times=np.full(seconds if self.rest else 0, np.inf),
             place=np.full(len(self.rest), np.nan),
             kept=np.zeros(points),
+            ended=np.zeros((R, SUMS, points)),
             clocks=np.zeros(CLOCKS),
             largest=np.full((len(self.memories_s) + 1, F), -np.inf),
             detectable=np.full(F, np.inf),
@@ -290,6 +293,7 @@ class Isolate:
             decide=self.decide_s,
             temper=self.temper,
             penalty=self.unknown_penalty,
+            change=self.change,
         )
 
     @cached_property
