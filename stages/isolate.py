@@ -203,7 +203,7 @@ class Isolate:
         dt = np.diff(time, prepend=state.time)
         dt = np.where(np.isfinite(dt), dt, self.correlation_s)
         gate = np.nan_to_num(values.get(GATE, np.ones(time.size)), nan=0.0)
-        active, share = self._looked_at(time, dt, gate >= self.min_gate, state.seen)
+        active, share = self.looked_at(time, dt, gate >= self.min_gate, state.seen)
         wanted = {TIME, GATE, *self.points.needs} & values.keys()
         needed = {c: values[c][active] for c in wanted}
         e, sigma, doubt, novelty = self.points.evaluate(needed, time[active] - first)
@@ -249,7 +249,7 @@ class Isolate:
             PROBABILITY + UNKNOWN: p[:, -1].astype(np.float32),
         }
 
-    def _looked_at(
+    def looked_at(
         self, time: Array, dt: Array, usable: NDArray[np.bool_], seen: float
     ) -> tuple[NDArray[np.bool_], Array]:
         """The first usable row of every ``every_s``, and which share of an independent sample each is;

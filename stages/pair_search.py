@@ -17,6 +17,7 @@ from stages.residuals import MODEL_SD, RESIDUAL, SIGMA, UNFAMILIAR
 from stages.size_grid import Grid
 
 Array = NDArray[np.float64]
+ALL = slice(None)
 
 
 @dataclass(frozen=True)
@@ -53,23 +54,23 @@ class Window:
         """The residuals of the log as it is, shape (rows, residuals)."""
         return np.column_stack([self.base[RESIDUAL + r][0] for r in self.points.residuals])
 
-    def likelihood(self, e: Array, sigma: Array, doubt: Array) -> Array:
+    def likelihood(self, e: Array, sigma: Array, doubt: Array, rows: slice = ALL) -> Array:
         """L of each point, shape (points,), from (rows, residuals, points); spikes are held near zero or the
-        window's mean."""
-        known = np.isfinite(e) & np.isfinite(sigma)
-        w = np.where(known, self.weight[:, :, None] / sigma**2, 0.0)
+        rows' mean."""
+        known, weight = np.isfinite(e) & np.isfinite(sigma), self.weight[rows, :, None]
+        w = np.where(known, weight / sigma**2, 0.0)
         e, ln_sigma = np.nan_to_num(e), np.where(known, np.log(sigma), 0.0)
         mean = (w * e).sum(axis=0) / np.maximum(w.sum(axis=0), 1e-300)
         reach = self.clip * np.nan_to_num(sigma, nan=np.inf)
         e = np.clip(e, np.minimum(mean, 0.0) - reach, np.maximum(mean, 0.0) + reach)
-        h1, h2 = self.shapes[:, :, :1], self.shapes[:, :, 1:]
+        h1, h2 = self.shapes[rows, :, :1], self.shapes[rows, :, 1:]
         S = np.zeros((e.shape[1], SUMS, e.shape[2] + 1))
         S[:, A11, :-1] = (w * h1**2).sum(axis=0)
         S[:, A12, :-1] = (w * h1 * h2).sum(axis=0)
         S[:, A22, :-1] = (w * h2**2).sum(axis=0)
         S[:, B1, :-1] = (w * h1 * e).sum(axis=0)
         S[:, B2, :-1] = (w * h2 * e).sum(axis=0)
-        S[:, Q, :-1] = (w * e**2 + 2.0 * self.weight[:, :, None] * ln_sigma).sum(axis=0)
+        S[:, Q, :-1] = (w * e**2 + 2.0 * weight * ln_sigma).sum(axis=0)
         S[:, D, :-1] = (w * h1**2 * np.nan_to_num(doubt) ** 2).sum(axis=0)
         return np.asarray(log_likelihoods(S, self.sd, self.sd)[:-1])
 
@@ -79,18 +80,44 @@ class Window:
         return self.points.evaluate(self.values, self.values[ELAPSED])
 
     @cached_property
-    def singles(self) -> list[tuple[float, float]]:
-        """Of each fault alone, its size and the logarithm of its marginal likelihood."""
+    def _refined(self) -> tuple[Array, Array, Array]:
+        """Residuals, spreads and doubts at all points of the refined grid."""
         grid, share = self.grid, self.grid.share
-        L = self.likelihood(
-            *((1.0 - share) * x[:, :, grid.left] + share * x[:, :, grid.right] for x in self.computed[:3])
+        e, sigma, doubt = (
+            (1.0 - share) * x[:, :, grid.left] + share * x[:, :, grid.right] for x in self.computed[:3]
         )
+        return e, sigma, doubt
+
+    def _peaks(self, rows: slice = ALL) -> list[tuple[float, float]]:
+        """Of each fault alone, its size and the logarithm of its marginal likelihood in some ``rows``."""
+        e, sigma, doubt = self._refined
+        L = self.likelihood(e[rows], sigma[rows], doubt[rows], rows)
         found = []
-        for sizes, points, count in zip(grid.sizes, grid.points, grid.counts, strict=True):
+        for sizes, points, count in zip(self.grid.sizes, self.grid.points, self.grid.counts, strict=True):
             x = sizes[:count]
             size, height, sd = peak(x, L[points[:count]])
             found.append((size, height + np.log(min(1.0, np.sqrt(2 * np.pi) * sd / (x[-1] - x[0])))))
         return found
+
+    @cached_property
+    def singles(self) -> list[tuple[float, float]]:
+        """Of each fault alone, its size and the logarithm of its marginal likelihood."""
+        return self._peaks()
+
+    @cached_property
+    def most(self) -> float:
+        """The largest of them."""
+        return max(height for _, height in self.singles)
+
+    @cached_property
+    def alone(self) -> float:
+        """The largest, also of faults whose size changes once, after a quarter of the rows, a half or three
+        quarters."""
+        n, most = len(self.weight), self.most
+        for k in (n // 4, n // 2, 3 * n // 4):
+            parts = zip(self._peaks(slice(0, k)), self._peaks(slice(k, n)), strict=True)
+            most = max([most, *(before + after for (_, before), (_, after) in parts)])
+        return most
 
     def thinned(self, rows: int) -> Window:
         """About ``rows`` of the samples, evenly, that weigh as much as all."""

@@ -42,8 +42,8 @@ NOTHING = Pair(-np.inf, 0.0, (np.nan, np.nan), (np.nan, np.nan))
 
 @dataclass(frozen=True, eq=False)
 class PairsState:
-    """The alarm's last usable samples, how many there were, when to look again, the time of the log's first
-    row and of the last, and what was found."""
+    """The alarm's last samples looked at, how many there were, when to look again, the time of the log's
+    first row, of the last, and of the last one looked at, and what was found."""
 
     samples: Mapping[str, Array] = field(default_factory=dict)
     count: int = 0
@@ -69,7 +69,7 @@ class Pairs:
     penalty: float = 10.0
     model_error: float = 0.01
     alike: tuple[tuple[str, ...], ...] = ()
-    rows: int = 200
+    rows: int = 400
     before: tuple[Stage, ...] = ()
 
     @property
@@ -118,9 +118,9 @@ class Pairs:
         on = values[DETECTION] > 0
         gate = np.nan_to_num(values.get(GATE, np.ones(time.size)), nan=0.0)
         usable = on & (gate >= self.isolate.min_gate)
-        wanted = {TIME, GATE, *self.isolate.points.needs} & values.keys()
         share = np.minimum(np.where(np.isfinite(dt), dt, np.inf), self.isolate.correlation_s)
         share /= self.isolate.correlation_s
+        wanted = {TIME, GATE, *self.isolate.points.needs} & values.keys()
         samples = {c: values[c] for c in wanted} | {ELAPSED: time - state.first, SHARE: share}
         found: dict[int, Mapping[str, Pair]] = {0: state.found}  # from a row on
         taken = 0
@@ -157,13 +157,16 @@ class Pairs:
         window = Window(points, isolate.grid, samples, shapes, isolate.sd, weight, isolate.clip)
         few, drifts, names = window.thinned(FEW), len(isolate.drifts), [*isolate.hypotheses]
         place = {f: drifts + k for k, f in enumerate(names)}
-        single = {f: size for f, (size, _) in zip(names, window.singles, strict=True)}
-        sizes = {f: [*isolate.hypotheses[f].sizes[::3], single[f]] for f in names}
-        starts = {
-            pair: few.start(place[a], place[b], sizes[a], sizes[b]) for pair, (a, b) in self.pairs.items()
-        }
-        alone = max(height for _, height in few.singles)
-        likely = sorted((p for p in starts if starts[p][0] > alone), key=lambda p: -starts[p][0])
+        sizes = {f: [*isolate.hypotheses[f].sizes[::3], x] for f, (x, _) in zip(names, few.singles, strict=True)}
+        likeliest = names[int(np.argmax([height for _, height in few.singles]))]
+        starts: dict[str, tuple[float, tuple[float, float]]] = {}
+        # those with the likeliest fault first: where nothing adds to it, one fault is enough
+        for pair in sorted(self.pairs, key=lambda p: likeliest not in self.pairs[p]):
+            a, b = self.pairs[pair]
+            if likeliest not in (a, b) and starts and _most(starts) < few.most + 0.5 * self.penalty:
+                return {}
+            starts[pair] = few.start(place[a], place[b], sizes[a], sizes[b])
+        likely = sorted((p for p in starts if starts[p][0] > few.most), key=lambda p: -starts[p][0])
         at: dict[str, tuple[int, int, Pair]] = {}
         for pair in likely[:REFINED]:
             i, j = (place[f] for f in self.pairs[pair])
@@ -171,7 +174,7 @@ class Pairs:
         if not at:
             return {}
         familiar = window.familiar(list(at.values()), isolate.known_to)
-        best = max(height for _, height in familiar.singles) + self.penalty
+        best = max(familiar.most + self.penalty, familiar.alone)
         return {
             pair: replace(x, height=familiar.both(i, j, np.array([x.sizes]))[0] + x.share - best)
             for pair, (i, j, x) in at.items()
@@ -204,3 +207,7 @@ class Pairs:
             same = [i for i, f in enumerate(evidence) if {*f.split(PAIR)} <= {*group} and PAIR in f]
             p[same] = p[same].mean(axis=0)
         return added | {PROBABILITY + f: row.astype(np.float32) for f, row in zip(evidence, p, strict=True)}
+
+
+def _most(starts: Mapping[str, tuple[float, tuple[float, float]]]) -> float:
+    return max(L for L, _ in starts.values())
