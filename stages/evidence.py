@@ -5,11 +5,11 @@ memories. Besides, while the operating point stays, a change within the log can 
 what differs from run to run: for a step ``age`` s ago the sums are those of the log as it is before it, and
 of the point after it, with any offset, the same before and after.
 
-An alarm begins where some evidence has been above its threshold for ``confirm`` s, and the episode's sums
-and those of the long memories begin anew. It ends where since some time the log as it is has been better than
-the named fault by that fault's threshold, and no fault is much better, or where no fault has evidence. As for
-Page's cumulative sum, those sums begin anew whenever the named fault is as good; at the end they become
-those of the memories.
+An alarm begins where some evidence has been above its threshold for ``confirm`` s; the episode's sums and
+those of the long memories then begin anew. It ends where for ``clear`` s no fault has evidence any more, or
+the log as it is has been better than the named fault by that fault's threshold since some time, while no
+other fault is much better. As in Page's cumulative sum, the sums since then begin anew whenever the named
+fault is as good; at the end they become those of all memories.
 
 The size of a fault may change. With M the sums over such a memory and E the episode's, the named fault has
 changed if it explains M and E - M at two sizes better than E at one, by ``change``:
@@ -66,6 +66,7 @@ class Settings(NamedTuple):
     unknown_sd: Array
     clip: float
     confirm: float
+    clear: float
     decide: float
     temper: float
     penalty: float
@@ -294,7 +295,7 @@ def decide(
     # a long time without samples confirms nothing
     clocks[HELD] = clocks[HELD] + min(elapsed, 2.0 * settings.decide) if holds else 0.0
     clocks[SINCE] += elapsed
-    if clocks[HELD] >= settings.confirm:
+    if clocks[HELD] >= (settings.clear if clocks[ALARM] == 1 else settings.confirm):
         if clocks[ALARM] == 0:
             S[2 : T + 1] = 0.0
             for p in range(len(grid.prior)):

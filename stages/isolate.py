@@ -96,6 +96,7 @@ class Isolate:
     rest_s: float = 30.0
     step_ages_s: tuple[float, ...] = (3.0, 5.0, 8.0)
     confirm_s: float = 1.0
+    clear_s: float = 5.0
     decide_s: float = 0.5
     temper: float = 0.5
     unknown_sd: float = 30.0
@@ -290,6 +291,7 @@ class Isolate:
             unknown_sd=self._unknown_sd,
             clip=self.clip,
             confirm=self.confirm_s,
+            clear=self.clear_s,
             decide=self.decide_s,
             temper=self.temper,
             penalty=self.unknown_penalty,
