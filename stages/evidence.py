@@ -22,79 +22,31 @@ a memory that would raise the alarm itself.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from stages.likelihood import SUMS, add_sample, fade, log_likelihoods, peak
+from stages.likelihood import SUMS, log_likelihoods, peak
+from stages.memory import (
+    ACTIVE,
+    ALARM,
+    DECIDED,
+    EVIDENCE,
+    HELD,
+    NAMED,
+    RESTED,
+    SINCE,
+    SIZE,
+    Memory,
+    Rows,
+    Settings,
+    remember,
+    settle,
+)
 from stages.size_grid import Grid
 
 Array = NDArray[np.float64]
-ALARM, HELD, NAMED, SIZE, EVIDENCE, SINCE, DECIDED, FADED, RESTED, SEEN, ACTIVE = range(11)  # clocks
-CLOCKS = 11
 QUANTILE = 1.645  # 95 % of a normal deviate lie below
-
-
-class Rows(NamedTuple):
-    """What is known of a block's rows; only of those ``active``: ``share`` (active rows,) of an independent
-    sample, ``e sigma ln_sigma doubt`` (active rows, residuals, points), ``shapes`` (active rows, residuals,
-    2), ``known`` (active rows, residuals). ``place`` (rows, any): the operating point, a rest ends 1 away
-    from where it began."""
-
-    dt: Array
-    active: NDArray[np.bool_]
-    place: Array
-    share: Array
-    known: Array
-    e: Array
-    sigma: Array
-    ln_sigma: Array
-    doubt: Array
-    shapes: Array
-
-
-class Settings(NamedTuple):
-    """``memories``: those of the alarm, the episode's, and that of a rest; ``ages`` of a step in s;
-    ``sd unknown_sd`` of the offsets (residuals, 2)."""
-
-    memories: Array
-    ages: Array
-    threshold: Array
-    sd: Array
-    unknown_sd: Array
-    clip: float
-    confirm: float
-    clear: float
-    decide: float
-    temper: float
-    penalty: float
-    change: float
-
-
-class Memory(NamedTuple):
-    """What the recursion remembers, changed in place: sums by memory (the episode's and the rest's last),
-    residual and point; those since the last decision; those of the rest at earlier seconds and their times;
-    where it began; log-likelihood ratios that an episode began with; sums since the named fault was last as good
-as none; clocks; the largest evidence so far, and
-    the smallest size that would have been seen; the last decision."""
-
-    S: Array
-    fresh: Array
-    earlier: Array
-    times: Array
-    place: Array
-    kept: Array
-    ended: Array
-    clocks: Array
-    largest: Array
-    detectable: Array
-    statistic: Array
-    evidence: Array
-    p: Array
-    size: Array
-    size_sd: Array
 
 
 @njit(cache=True)
@@ -126,44 +78,6 @@ def nearest(points: NDArray[np.int64], sizes: Array, size: float) -> int:  # pra
         if points[i] > 0 and abs(sizes[i] - size) < abs(sizes[near] - size):
             near = i
     return int(points[near])
-
-
-@njit(cache=True)
-def settle(memory: Memory, settings: Settings) -> None:  # pragma: no cover - compiled
-    """Let all sums fade by the time that has passed, and add the fresh ones."""
-    passed, two = memory.clocks[FADED], settings.sd[:, 1] > 0
-    for i in range(len(memory.S) if len(settings.ages) else len(memory.S) - 1):
-        fade(memory.S[i], np.exp(-passed / settings.memories[i]), memory.fresh, two)
-    if memory.clocks[ALARM] == 1:
-        memory.ended[:] += memory.fresh
-    memory.fresh[:] = 0.0
-    memory.clocks[FADED] = 0.0
-
-
-@njit(cache=True)
-def remember(
-    memory: Memory, settings: Settings, grid: Grid, rows: Rows, k: int, row: int
-) -> None:  # pragma: no cover - compiled
-    """Add row ``k``, the ``row``-th active one, to the fresh sums."""
-    dt, clocks = rows.dt[k], memory.clocks
-    clocks[FADED] += dt
-    clocks[RESTED] += dt
-    for j in range(len(memory.place)):
-        if not abs(rows.place[k, j] - memory.place[j]) <= 1.0:
-            settle(memory, settings)
-            memory.place[:] = rows.place[k]
-            memory.S[-1] = 0.0
-            clocks[RESTED] = 0.0
-            memory.times[:] = np.inf
-            break
-    if not rows.active[k]:
-        return
-    share = rows.share[row]
-    row_of = (rows.e[row], rows.sigma[row], rows.ln_sigma[row], rows.doubt[row])
-    weights, seen = share * rows.known[row], clocks[SEEN]
-    add_sample(memory.fresh, row_of, grid, rows.shapes[row], weights, memory.S[1], seen, settings.clip)
-    clocks[SEEN] += share
-    clocks[ACTIVE] = 1.0
 
 
 @njit(cache=True)
@@ -236,12 +150,14 @@ def ends(memory: Memory, settings: Settings, grid: Grid) -> bool:  # pragma: no 
         memory.ended[:] = 0.0
     better = np.max(L[:-1]) - L[0]
     over = L[0] - named > settings.threshold[1, f] and better < 0.5 * settings.threshold[1, f]
-    return clocks[SINCE] > settings.memories[1] and (over or clocks[EVIDENCE] <= 0.0)  # known well enough
+    known = clocks[SINCE] > settings.memories[1]
+    return bool(known and (over or clocks[EVIDENCE] <= 0.0))
 
 
 @njit(cache=True)
 def shorten(memory: Memory, settings: Settings, grid: Grid) -> None:  # pragma: no cover - compiled
-    """Let the episode be no longer than the memory over which the named fault has another size than before."""
+    """Let the episode be no longer than the memory over which the named fault's size is not that of
+    before."""
     S, clocks, T = memory.S, memory.clocks, len(memory.S) - 2
     f = int(clocks[NAMED])
     points = grid.points[f, : grid.counts[f]]

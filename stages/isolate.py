@@ -36,11 +36,12 @@ from numpy.typing import NDArray
 
 from ingest.errors import RecipeError
 from ingest.log import TIME, Log
-from stages.evidence import CLOCKS, Memory, Rows, Settings, follow
+from stages.evidence import follow
 from stages.formula import Formula
 from stages.gate import GATE
 from stages.hypotheses import Drift, Hypothesis, Points
 from stages.likelihood import SUMS
+from stages.memory import CLOCKS, Memory, Rows, Settings
 from stages.offsets import offset_sd
 from stages.relations import familiarity
 from stages.residuals import Residuals, residual_names
@@ -69,14 +70,15 @@ class Isolate:
     each that ends a rest (none: no search for steps).
 
     The threshold of a fault and a memory is ``margin`` more than the largest evidence in the calibration
-    logs, at least ``min_threshold``, for a step ``min_step_threshold``.
+    logs, at least ``min_threshold``, for a step ``min_step_threshold``. An alarm ends when the fault has been
+    gone for ``clear_s``; by ``change`` a fault of two sizes must be likelier than of one.
 
     Raises:
         RecipeError: fewer than two memories, or not rising; more than two shapes for a residual; no residuals
             before this stage; nothing learned yet.
     """
 
-    version: ClassVar[str] = "4"
+    version: ClassVar[str] = "5"
     learns_from: ClassVar[Literal["calibration"]] = "calibration"
     hypotheses: Mapping[str, Hypothesis]
     drifts: Mapping[str, Drift] = field(default_factory=dict)

@@ -22,7 +22,7 @@ Between two computed sizes of a hypothesis, e, sigma, its logarithm and the doub
 The last point of all sums is the log as it is, untamed, for ``unknown``.
 
 The compiler's cache does not see changes in another file: after a change here delete the compiled files of
-:mod:`stages.evidence` (``stages/__pycache__/evidence*.nb*``).
+:mod:`stages.memory` and :mod:`stages.evidence` (``stages/__pycache__/*.nb*``).
 """
 
 from __future__ import annotations

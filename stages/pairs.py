@@ -1,16 +1,18 @@
 """Pairs: two faults at once, where one alone leaves something unexplained.
 
 After the stage `isolate`, on the last ``rows`` usable samples of an alarm, whenever the alarm has three times
-as many as before. Every two of ``faults`` are undone one after the other, the sensor's first, at a few sizes
-and on a few samples. Where that is likelier than the best single fault, Newton's steps on the log-likelihood
-L (:mod:`stages.likelihood`) find both sizes. With d the standard deviation of a size, C the covariance of the
-two, and f* the best single fault,
+as many as before. Two of ``faults`` are undone one after the other, the sensor's first, at a few sizes and on
+a few samples. Where no second fault adds to the likeliest one, that is all. Else Newton's steps on the
+log-likelihood L (:mod:`stages.likelihood`) find both sizes. With d the standard deviation of a size, C the
+covariance of the two, and f* the best single fault,
 
-    evidence_fg = evidence_f* + L_fg + ln(2 pi |C|^1/2 / ranges) - L_f* - ln(sqrt(2 pi) d / range) - penalty.
+    evidence_fg = evidence_f* + L_fg + ln(2 pi |C|^1/2 / ranges) - max(L_f* + penalty, L_h),
+    L_f* = max_f [L_f + ln(sqrt(2 pi) d / range)],
 
-The probabilities are those of the stage before, with the pairs among the suppositions. Where a pair explains
-much, errors of the relations explain more, too: all evidence then counts ``1 / (1 + model_error gain)``. Two
-faults at once are a requirement of section 1.1.
+where L_h is that of the best single fault whose size changes once within the samples: one fault that grows or
+ends is not two. The probabilities are those of the stage before, with the pairs among the suppositions. Where
+a pair explains much, errors of the relations explain more, too: all evidence then counts
+``1 / (1 + model_error gain)``. Two faults at once are a requirement of section 1.1.
 """
 
 from __future__ import annotations
@@ -64,7 +66,7 @@ class Pairs:
         RecipeError: the stage before is not `isolate`, or has no such fault.
     """
 
-    version: ClassVar[str] = "1"
+    version: ClassVar[str] = "2"
     faults: tuple[str, ...] = ()
     penalty: float = 10.0
     model_error: float = 0.01
@@ -157,7 +159,8 @@ class Pairs:
         window = Window(points, isolate.grid, samples, shapes, isolate.sd, weight, isolate.clip)
         few, drifts, names = window.thinned(FEW), len(isolate.drifts), [*isolate.hypotheses]
         place = {f: drifts + k for k, f in enumerate(names)}
-        sizes = {f: [*isolate.hypotheses[f].sizes[::3], x] for f, (x, _) in zip(names, few.singles, strict=True)}
+        single = {f: size for f, (size, _) in zip(names, few.singles, strict=True)}
+        sizes = {f: [*isolate.hypotheses[f].sizes[::3], single[f]] for f in names}
         likeliest = names[int(np.argmax([height for _, height in few.singles]))]
         starts: dict[str, tuple[float, tuple[float, float]]] = {}
         # those with the likeliest fault first: where nothing adds to it, one fault is enough

@@ -92,12 +92,31 @@ def test_what_no_hypothesis_explains_is_unknown(fitted: list[Stage]) -> None:
     assert samples(fitted, log)["p.unknown"][-1] > 0.9
 
 
-def test_the_alarm_ends_with_the_fault(fitted: list[Stage]) -> None:
-    broken, whole = drive(9, flow=0.05).groups[ANALYSIS].frame, drive(9).groups[ANALYSIS].frame
-    frame = pl.concat([broken.filter(pl.col("time") < 400), whole.filter(pl.col("time") >= 400)])
+@pytest.mark.parametrize("size", [0.03, 0.09])
+def test_the_alarm_ends_with_the_fault(fitted: list[Stage], size: float) -> None:
+    """A large fault is over as soon as a small one, and comes back under its name."""
+    broken, whole = drive(9, flow=size).groups[ANALYSIS].frame, drive(9).groups[ANALYSIS].frame
+    there = pl.col("time").is_between(400, 450, closed="left").not_()
+    frame = pl.concat([broken.filter(there), whole.filter(~there)]).sort("time")
     out = samples(fitted, Log("x", {ANALYSIS: Group(ANALYSIS, frame)}))
-    on = out.filter(pl.col("detection") == 1)["time"]
-    assert 400 <= on[-1] < 460
+    on = out["detection"].to_numpy() == 1
+    ends = out["time"].to_numpy()[:-1][on[:-1] & ~on[1:]]
+    assert len(ends) == 1
+    assert 405 <= ends[0] < 415
+    again = out.filter((pl.col("time") > 480) & (pl.col("detection") == 1))
+    assert again["p.flow_gain"].min() > 0.9  # type: ignore[operator]
+
+
+def test_a_fault_that_grows_is_judged_by_what_it_has_grown_to(fitted: list[Stage]) -> None:
+    """Pressure gain from 0 to 10 % between 200 and 400 s."""
+    t = drive(9).groups[ANALYSIS].frame["time"].to_numpy()
+    size = np.clip((t - 200) / 200, 0, 1) * 0.1
+    frame = drive(9).groups[ANALYSIS].frame.with_columns(p=pl.col("p") * (1 + size))
+    out = samples(fitted, Log("x", {ANALYSIS: Group(ANALYSIS, frame)}))
+    assert out["detection"].to_numpy()[t > 300].min() == 1
+    late = out.filter(pl.col("time") > 410)
+    assert late["p.pressure_gain"].min() > 0.9  # type: ignore[operator]
+    assert late["size.pressure_gain"].to_numpy() == pytest.approx(0.1, rel=0.1)
 
 
 def test_a_step_at_rest_is_seen_below_what_differs_from_run_to_run(fitted: list[Stage]) -> None:

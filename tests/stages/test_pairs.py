@@ -8,6 +8,7 @@ import pytest
 from made_up_engine import HYPOTHESES, STAGES, drive, fitted_to
 
 from ingest.errors import RecipeError
+from ingest.log import Group, Log
 from stages.pairs import Pairs
 from stages.stage import ANALYSIS, Stage, connected, transform
 
@@ -53,6 +54,14 @@ def test_one_fault_is_not_two(fitted: list[Stage], fault: dict[str, float]) -> N
     assert frame.select(pl.max_horizontal(PAIRS).max()).item() < 0.2
     total = frame.select(pl.sum_horizontal(*SINGLES, *PAIRS)).to_series()
     np.testing.assert_allclose(total, 1.0, atol=1e-5)
+
+
+def test_a_fault_that_grows_is_not_two(fitted: list[Stage]) -> None:
+    frame = drive(9).groups[ANALYSIS].frame
+    size = np.clip((frame["time"].to_numpy() - 200) / 200, 0, 1) * 0.1
+    log = Log("grows", {ANALYSIS: Group(ANALYSIS, frame.with_columns(p=pl.col("p") * (1 + size)))})
+    out = transform(fitted, log).groups[ANALYSIS].frame.filter(pl.col("time") > 230)
+    assert out.select(pl.max_horizontal(PAIRS).max()).item() < 0.5
 
 
 def test_without_an_alarm_nothing_is_said(fitted: list[Stage]) -> None:
