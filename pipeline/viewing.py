@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
 
 import polars as pl
 
@@ -16,6 +18,9 @@ from pipeline.summary import SUMMARY, SUMMARY_SCHEMA, summary_frame
 from pipeline.task import IN_PARTS
 from pipeline.wear import wear_of_batch
 from stages.results import Diagnosis
+
+if TYPE_CHECKING:
+    from pipeline.detector import Detector
 
 Shown = Path | Log | Diagnosis
 OPENED = 20
@@ -141,6 +146,25 @@ def _together(paths: Sequence[str], names: Path | None, path: Path) -> list[Show
 def _labels(first: Diagnosis, second: Diagnosis) -> tuple[str, str]:
     keys = [(one.verdict.detector or one.verdict.recipe)[:8] for one in (first, second)]
     return (keys[0], keys[1]) if keys[0] != keys[1] else (f"{keys[0]} (1)", f"{keys[1]} (2)")
+
+
+def write_compared(champion: Detector, challenger: Detector, logs: Sequence[Log], path: Path) -> None:
+    """The residuals of both detectors on the same axes, a recording a log, as one file.
+
+    Raises:
+        LogError: a log lacks a signal, or ``path`` cannot be written.
+    """
+    from pipeline.diagnosing import diagnose
+    from viz.beside import write_comparison
+    from viz.viewer import check_folder, merge
+
+    check_folder(path)
+    with TemporaryDirectory(prefix="dynoscope-") as folder:
+        parts = [Path(folder) / f"{number}.rrd" for number in range(len(logs))]
+        for log, part in zip(logs, parts, strict=True):
+            both = diagnose(log, champion), diagnose(log, challenger)
+            write_comparison(*both, part, ("champion", "challenger"))
+        merge(parts, path)
 
 
 def layers(shown: Sequence[Shown], runs: Sequence[Path], folder: Path) -> list[Shown]:

@@ -16,14 +16,16 @@ from stages.results import Diagnosis
 from viz import send
 from viz.colours import GREY, ORANGE, SKY_BLUE, of_fault, of_index
 from viz.lanes import diagnosed, held, truth, truth_known
-from viz.layout import KEY_SIGNALS, WholeRange, heights, lane_view, plot, signal_range
+from viz.layout import KEY_SIGNALS, WholeRange, heights, lane_view, plot, scale_text, signal_range
 from viz.raster import curves
-from viz.residuals import WIDTH, column, names
-from viz.series import Array, break_at_gaps, lane
-from viz.summary import headline, magnitude_text, probabilities, table
+from viz.residuals import WIDTH, column, log_band, names, view_range
+from viz.series import TRUTH, Array, break_at_gaps, lane
+from viz.statistics import telling
+from viz.summary import headline, magnitude_text, table
 from viz.timeline import checked_span, write_recording
 
 MOST, SIGNALS, RESIDUALS = 4, 3, 5
+INJECTED, BAND_ALPHA = "/injected", 90
 REACH = 12.0
 """z where a residual's plot ends."""
 Shown = Diagnosis | Log
@@ -50,12 +52,12 @@ def write_beside(shown: Sequence[Shown], path: Path) -> None:
 
 
 def write_comparison(first: Diagnosis, second: Diagnosis, path: Path, labels: tuple[str, str]) -> None:
-    """Two diagnoses of one log on the same axes: each residual of both in sigma, both verdicts.
+    """Two diagnoses of one log on the same axes: each residual of both with its band, both verdicts.
 
     Raises:
         LogError: they have no residual in common, or what :func:`viz.timeline.write_timeline` raises.
     """
-    common = [n for n, _ in names(first.samples) if n in dict(names(second.samples))]
+    common = [n for n in telling(first.samples) if n in dict(names(second.samples))]
     if not common:
         raise LogError(
             f"{first.log.name}: {first.verdict.recipe} and {second.verdict.recipe} have no residual in "
@@ -66,12 +68,19 @@ def write_comparison(first: Diagnosis, second: Diagnosis, path: Path, labels: tu
     def fill(rec: rr.RecordingStream) -> None:
         span = checked_span(first.log)
         views = [_compared(rec, name, both, labels) for name in common]
-        lanes = [p for one, label in zip(both, labels, strict=True) for p in _lanes(rec, label, one)]
+        roots = [f"{i} {label}" for i, label in enumerate(labels, 1)]  # lanes stand in the order of paths
+        lanes = [p for root, one in zip(roots, both, strict=True) for p in _found(rec, root, one)]
+        lanes += _injected(rec, INJECTED, first.log)
         send.markdown(rec, "/summary", _verdicts(both, labels))
-        shares = heights([1.0] * len(views), lanes)
-        left = rrb.Vertical(*views, *lane_view("What each found", lanes), row_shares=shares)
-        right = rrb.TextDocumentView(origin="/summary", name="Verdicts")
-        layout = rrb.Horizontal(left, right, column_shares=[7, 3])
+        below = [
+            *lane_view("What each found", lanes),
+            rrb.TextDocumentView(origin="/summary", name="Verdicts"),
+        ]
+        layout = rrb.Vertical(
+            rrb.Grid(*views, grid_columns=1 if len(views) <= 2 else 2),
+            rrb.Horizontal(*below, column_shares=[6, 4]),
+            row_shares=[57, 43],
+        )
         rec.send_blueprint(_blueprint(layout, span), make_active=True, make_default=True)
 
     identity = ["comparison", first.log.name, *labels, first.log.facts.get("sha256")]
@@ -97,7 +106,7 @@ def _column(rec: rr.RecordingStream, root: str, one: Shown) -> rrb.Container:
     log = _log(one)
     views = []
     numeric = [n for g in log.groups.values() for n in g.signals if g.frame.schema[n].is_numeric()]
-    ranked = [n for n in KEY_SIGNALS if n in numeric] + [n for n in numeric if not n.startswith("truth.")]
+    ranked = [n for n in KEY_SIGNALS if n in numeric] + [n for n in numeric if not n.startswith(TRUTH)]
     for i, name in enumerate(list(dict.fromkeys(ranked))[:SIGNALS]):
         path = send.entity(root, "signals", name)
         time, values = curves(log.group_of(name), [name])
@@ -119,11 +128,24 @@ def _column(rec: rr.RecordingStream, root: str, one: Shown) -> rrb.Container:
 def _compared(
     rec: rr.RecordingStream, name: str, both: tuple[Diagnosis, Diagnosis], labels: tuple[str, str]
 ) -> rrb.View:
-    paths = []
+    """A residual of both in its own unit, each line with its band of the same colour."""
+    paths, ranges = [], []
     for one, label, colour in zip(both, labels, (SKY_BLUE, ORANGE), strict=True):
-        paths.append(send.entity("z", name, label))
-        _z(rec, paths[-1], one, name, colour, label)
-    return plot(f"{name} [sigma]", [f"{paths[0]}/usual", *(f"{p}/value" for p in paths)], (-REACH, REACH))
+        paths.append(send.entity("residuals", name, label))
+        samples, source = one.samples, dict(names(one.samples))[name]
+        time, value, sigma = (column(samples, c) for c in ("time", source, f"sigma.{name}"))
+        centre = value - column(samples, f"z.{name}") * sigma
+        band = f"{label} ±{WIDTH:g} sigma"
+        log_band(rec, f"{paths[-1]}/band", time, centre, sigma, band, (*colour, BAND_ALPHA))
+        at, lines = break_at_gaps(time, value[:, None])
+        send.lines(rec, f"{paths[-1]}/value", at, lines, names=[label], colours=[colour])
+        ranges.append(view_range(value, centre, sigma))
+    lows, highs = zip(*ranges, strict=True)
+    shown = min(lows), max(highs)
+    unit, (first, second) = both[0].units.get(name) or "1", labels
+    colours = f"{first} blue, {second} orange, each with ±{WIDTH:g} sigma"
+    title = f"{name} [{unit}] · {scale_text(shown)} · {colours}"
+    return plot(title, [f"{path}/**" for path in paths], shown, legend=False)
 
 
 def _z(
@@ -138,16 +160,23 @@ def _z(
 
 
 def _lanes(rec: rr.RecordingStream, root: str, one: Diagnosis) -> list[str]:
-    paths = [send.entity(root, "diagnosed")]
-    faults = diagnosed(one.samples)
-    at, states = lane(column(one.samples, "time"), faults)
-    send.states(rec, paths[0], at, states, {f: of_fault(f) for f in set(states) if f})
-    if truth_known(one.log):
-        time, kinds = held(truth(one.log), *one.log.span)
-        paths.append(send.entity(root, "injected"))
-        shown = [k or "none" for k in kinds[:-1]] + [""]
-        send.states(rec, paths[-1], time, shown, {f: of_fault(f) for f in set(shown) if f})
-    return paths
+    return [*_found(rec, root, one), *_injected(rec, send.entity(root, "injected"), one.log)]
+
+
+def _found(rec: rr.RecordingStream, root: str, one: Diagnosis) -> list[str]:
+    path = send.entity(root, "diagnosed")
+    at, states = lane(column(one.samples, "time"), diagnosed(one.samples))
+    send.states(rec, path, at, states, {f: of_fault(f) for f in set(states) if f})
+    return [path]
+
+
+def _injected(rec: rr.RecordingStream, path: str, log: Log) -> list[str]:
+    if not truth_known(log):
+        return []
+    time, kinds = held(truth(log), *log.span)
+    shown = [k or "none" for k in kinds[:-1]] + [""]
+    send.states(rec, path, time, shown, {f: of_fault(f) for f in set(shown) if f})
+    return [path]
 
 
 def _verdicts(both: tuple[Diagnosis, Diagnosis], labels: tuple[str, str]) -> str:
@@ -162,7 +191,7 @@ def _verdicts(both: tuple[Diagnosis, Diagnosis], labels: tuple[str, str]) -> str
         row("onset", lambda d: number(d.verdict.onset_s)),
         row("detected", lambda d: number(d.verdict.detected_s)),
         row("size", lambda d: magnitude_text(d.verdict.magnitude) if d.verdict.magnitude else "–"),
-        row("probability", lambda d: probabilities(d.verdict) or "–"),
+        row("its probability", _probability),
         row("detector", lambda d: (d.verdict.detector or "–")[:12]),
         *(
             row(f"{n}: rms z, no alarm", lambda d, n=n: _quiet(d.samples, n))
@@ -170,6 +199,11 @@ def _verdicts(both: tuple[Diagnosis, Diagnosis], labels: tuple[str, str]) -> str
         ),
     ]
     return f"## {both[0].log.name}\n\n" + table(("", *labels), rows)
+
+
+def _probability(one: Diagnosis) -> str:
+    p = one.verdict.probability.get(one.verdict.fault)
+    return "–" if p is None else f"{p:.1%}"
 
 
 def _quiet(samples: pl.DataFrame, name: str) -> str:

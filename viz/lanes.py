@@ -14,7 +14,7 @@ from ingest.log import Event, Log
 from stages.results import Diagnosis
 from viz import send
 from viz.colours import EXCEEDANCE, GREY, SAND, Colour, of_fault, of_index
-from viz.series import Array, lane
+from viz.series import TRUTH, Array, lane
 
 # Rerun sorts lanes by path: these names stand in the order in which they are read.
 ALARM = "/alarm"
@@ -36,6 +36,11 @@ def truth(log: Log) -> list[Event]:
 def truth_known(log: Log) -> bool:
     """Whether a log says what was wrong, be it that nothing was."""
     return any(event.source == "truth" for event in log.events)
+
+
+def quality_remarks(log: Log) -> list[Event]:
+    """What the readers remarked on the log's data, but for what a simulator alone knows."""
+    return [e for e in log.events if e.source == "quality" and not (e.channel or "").startswith(TRUTH)]
 
 
 def log_lanes(rec: rr.RecordingStream, diagnosis: Diagnosis) -> list[str]:
@@ -85,8 +90,7 @@ def log_event_lanes(rec: rr.RecordingStream, log: Log) -> list[str]:
         return []
     quality = [
         replace(event, kind=f"{event.kind} {event.channel}") if event.channel else event
-        for event in log.events
-        if event.source == "quality"
+        for event in quality_remarks(log)
     ]
     paths = []
     if truth_known(log):

@@ -18,6 +18,7 @@ from viz.colours import ORANGE, of_fault
 from viz.lanes import diagnosed
 from viz.residuals import column, names
 from viz.series import break_at_gaps, lane
+from viz.viewer import check_folder
 
 RESIDUALS, FINDINGS = "/layers/residuals", "/layers/found"
 
@@ -35,8 +36,7 @@ def write_layer(diagnosis: Diagnosis, base: Path, path: Path, label: str) -> Non
         LogError: ``base`` is no recording or several, or the folder of ``path`` does not exist.
     """
     application, recording = _identity(base)
-    if not path.parent.is_dir():
-        raise LogError(f"cannot write {path}: there is no folder {path.parent}; make it first")
+    check_folder(path)
     rec = rr.RecordingStream(application, recording_id=recording, send_properties=False)
     rec.set_log_time_enabled(False)
     aside = path.with_name(f".{path.name}.{os.getpid()}.rrd")

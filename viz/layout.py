@@ -14,13 +14,13 @@ from viz.distributions import LEADS, bounds
 from viz.lanes import DIAGNOSED, FAULT_LANES, INJECTED, REGIME
 from viz.layers import FINDINGS, residual_layers
 from viz.model import MODEL
-from viz.monitoring import ERRORS, POLES, READINGS, TRUTH, Monitored
+from viz.monitoring import ERRORS, POLES, READINGS, Monitored
 from viz.operating_map import MAP, SOM, TRAIL_S
 from viz.plane import BACKGROUND, FRAMED, plane_view
 from viz.residuals import Residual
 from viz.selection import selection_tabs
 from viz.send import TIMELINE
-from viz.series import Array, limits
+from viz.series import TRUTH, Array, limits
 from viz.signals import LogContents, Panel
 
 KEY_SIGNALS = ("n_Eng", "p_Int", "W_HFM", "e_a", "theta_ang", "v_Veh")
@@ -99,13 +99,15 @@ def _blueprint(tabs: Sequence[rrb.Container], span: tuple[float, float]) -> rrb.
 def _overview(
     contents: LogContents, residuals: Sequence[Residual], lanes: Sequence[str], operating_map: bool
 ) -> rrb.Container:
-    signals = [_signal_view(p) for p in overview_panels(contents.panels, OVERVIEW_PANELS)]
+    panels = overview_panels(contents.panels, OVERVIEW_PANELS)
+    signals = [_signal_view(panel) for panel in panels]
+    tall = [1.6 + 0.4 * min(len(panel.lines), 5) for panel in panels]  # the legend has a row for each line
     shown = [_residual_view(r, lanes) for r in residuals[:OVERVIEW_RESIDUALS]]
     left = rrb.Vertical(
         *signals,
         *shown,
         *fault_lanes(lanes),
-        row_shares=heights([2.0] * len(signals) + [2.6] * len(shown), lanes),
+        row_shares=heights(tall + [2.6] * len(shown), lanes),
     )
     right: list[rrb.View] = [rrb.TextDocumentView(origin="/summary", name="Summary")]
     if operating_map:
@@ -232,11 +234,20 @@ def _signal_view(panel: Panel) -> rrb.TimeSeriesView:
     return plot(panel.title, drawn, panel.range, legend=len(panel.lines) > 1, drawn=drawn)
 
 
+def scale_text(shown: tuple[float, float]) -> str:
+    """How far a plot's axis reaches; low plots have few ticks.
+
+    >>> scale_text((-0.34, 0.34)), scale_text((810.0, 1200.0))
+    ('scale ±0.34', 'scale 810 to 1200')
+    """
+    low, high = (float(f"{v:.2g}") for v in shown)
+    return f"scale ±{high:g}" if low == -high else f"scale {low:g} to {high:g}"
+
+
 def _residual_view(residual: Residual, lanes: Sequence[str], legend: bool = False) -> rrb.TimeSeriesView:
-    low, high = residual.range
-    scale = f"±{high:.2g}" if abs(low + high) < 1e-6 * (high - low) else f"{low:.2g} to {high:.2g}"
-    known = " · white bar: injected" if INJECTED in lanes else ""
-    title = f"{residual.title} · scale {scale} · grey: ±3 sigma · red: beyond · yellow: alarm{known}"
+    known = " · white: injected" if INJECTED in lanes else ""
+    marks = f"grey: ±3 sigma · red: beyond · yellow: alarm{known}"
+    title = f"{residual.title} · {scale_text(residual.range)} · {marks}"
     paths = [f"{residual.path}/**", f"{residual_layers(residual.name)}/**"]
     return plot(title, paths, residual.range, legend=legend)
 

@@ -22,7 +22,7 @@ from viz.operating_map import MAP, log_cursor, log_regions
 from viz.plane import Axes, frame
 from viz.raster import curves
 from viz.residuals import WIDTH, column, names
-from viz.series import Array, at_times, changes
+from viz.series import TRUTH, Array, at_times, changes
 from viz.summary import WORDS, headline, summary
 
 SIGNALS, RESIDUALS = 3, 3
@@ -207,7 +207,7 @@ class Live:
 
 def _key_signals(log: Log) -> list[str]:
     numeric = [n for g in log.groups.values() for n in g.signals if g.frame.schema[n].is_numeric()]
-    ranked = [n for n in KEY_SIGNALS if n in numeric] + [n for n in numeric if not n.startswith("truth.")]
+    ranked = [n for n in KEY_SIGNALS if n in numeric] + [n for n in numeric if not n.startswith(TRUTH)]
     return list(dict.fromkeys(ranked))[:SIGNALS]
 
 

@@ -13,10 +13,10 @@ from stages.results import Diagnosis
 from viz import send
 from viz.colours import DIM, GREY, ORANGE, SKY_BLUE, WHITE, ramp
 from viz.residuals import column
-from viz.series import Array, break_at_gaps, envelope, limits
+from viz.series import TRUTH, Array, break_at_gaps, envelope, limits
 from viz.signals import ENVELOPE_POINTS
 
-CORRECTED, TRUTH = ".corrected", "truth."
+CORRECTED = ".corrected"
 READINGS, ERRORS, POLES = "/sensor/readings", "/sensor/errors", "/poles"
 DECADE = 20.0
 """Picture units to one decade of a pole's distance from the origin."""

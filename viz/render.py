@@ -102,18 +102,31 @@ def opened(client: ViewerClient, recording: Path) -> None:
 
 
 def tabs(client: ViewerClient) -> Iterator[str]:
-    """Bring each tab of the outermost container to the front and give its name; ``all`` without tabs."""
+    """Bring each tab of the outermost container to the front, each page of those that have pages, and give
+    its name; ``all`` without tabs."""
     blueprint: dict[str, Any] = client.get_blueprint().blueprint
-    root: str = blueprint["/viewport"]["ViewportBlueprint"]["root_container"]
-    root_tabs = blueprint[f"/container/{root}"]["ContainerBlueprint"]
-    if root_tabs.get("container_kind") != "Tabs":
-        yield "all"
-        return
-    for tab in np.atleast_1d(root_tabs["contents"]).tolist():  # a single one stands without a list
-        root_tabs["active_tab"] = tab
-        client.set_blueprint(blueprint, of="recording")
-        entry = blueprint[f"/{tab.lstrip('/')}"]
-        yield str(next(e["display_name"] for e in entry.values() if "display_name" in e))
+    root = blueprint["/viewport"]["ViewportBlueprint"]["root_container"]
+    yield from _pages(client, blueprint, f"container/{root}") or ["all"]
+
+
+def _pages(client: ViewerClient, blueprint: dict[str, Any], path: str) -> Iterator[str] | None:
+    """The tabs of a container in turn; None where it has no tabs."""
+    entry: dict[str, Any] = blueprint[f"/{path.lstrip('/')}"].get("ContainerBlueprint", {})
+    if entry.get("container_kind") != "Tabs":
+        return None
+
+    def each() -> Iterator[str]:
+        for tab in np.atleast_1d(entry["contents"]).tolist():  # a single one stands without a list
+            entry["active_tab"] = tab
+            told = blueprint[f"/{tab.lstrip('/')}"].values()
+            name = str(next(e["display_name"] for e in told if "display_name" in e))
+            if pages := _pages(client, blueprint, tab):
+                yield from (f"{name} {page}" for page in pages)
+            else:
+                client.set_blueprint(blueprint, of="recording")
+                yield name
+
+    return each()
 
 
 def settled(client: ViewerClient) -> bytes:

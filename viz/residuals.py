@@ -58,11 +58,14 @@ def _log_residual(rec: rr.RecordingStream, diagnosis: Diagnosis, name: str, sour
     sigma, z = column(samples, f"sigma.{name}"), column(samples, f"z.{name}")
     centre = value - z * sigma  # where z is zero: 0 for a residual, the healthy value for an indicator
     over = np.abs(z) > WIDTH
-    title = f"{name} [{diagnosis.units.get(name) or '1'}]"
+    meant = (
+        diagnosis.about.residuals.get(name) if diagnosis.about and source.startswith("indicator.") else None
+    )
+    title = f"{name}{f': {meant}' if meant else ''} [{diagnosis.units.get(name) or '1'}]"
     path = send.entity("residuals", name)
     shown = view_range(value, centre, sigma)
 
-    _log_band(rec, f"{path}/band", time, centre, sigma)
+    log_band(rec, f"{path}/band", time, centre, sigma)
     _log_windows(rec, path, diagnosis, shown)
     at, line = break_at_gaps(time, value[:, None])
     send.lines(rec, f"{path}/value", at, line, names=[title], colours=[SKY_BLUE], width=1.0)
@@ -95,7 +98,15 @@ def view_range(value: Array, centre: Array, sigma: Array) -> tuple[float, float]
     return middle - half, middle + half
 
 
-def _log_band(rec: rr.RecordingStream, path: str, time: Array, centre: Array, sigma: Array) -> None:
+def log_band(
+    rec: rr.RecordingStream,
+    path: str,
+    time: Array,
+    centre: Array,
+    sigma: Array,
+    name: str = f"± {WIDTH:g} sigma",
+    colour: tuple[int, int, int, int] = (*GREY, 200),
+) -> None:
     """Centre ± 3 sigma from each change to the next."""
     rows, parts = break_at_gaps(time, np.stack([centre, sigma], axis=1))
     parts[~(np.isfinite(parts).all(axis=1) & (parts[:, 1] > 0))] = np.nan
@@ -103,8 +114,7 @@ def _log_band(rec: rr.RecordingStream, path: str, time: Array, centre: Array, si
     steps = np.stack([parts[:, 0] / scale, np.log(parts[:, 1])], axis=1) / RESOLUTION
     known = np.nan_to_num(steps, nan=np.inf).round()
     at = np.union1d(changes(known[:, 0]), changes(known[:, 1]))
-    name = f"± {WIDTH:g} sigma"
-    send.band(rec, path, rows[at], parts[at, 0], WIDTH * parts[at, 1], name=name, colour=(*GREY, 200))
+    send.band(rec, path, rows[at], parts[at, 0], WIDTH * parts[at, 1], name=name, colour=colour)
 
 
 def _log_windows(

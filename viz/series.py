@@ -13,6 +13,8 @@ from ingest.log import Log
 
 Array = NDArray[np.float64]
 
+TRUTH = "truth."
+"""Begins the names of signals that a simulator knows and no engine has."""
 GAP_STEPS = 5.0
 """A step this many times longer than nearly all others is a gap."""
 

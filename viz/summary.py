@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from pathlib import PurePath
 from typing import Any
 
@@ -12,6 +12,7 @@ import polars as pl
 from ingest.log import Event, Log
 from stages.results import Diagnosis, Magnitude, Verdict
 from viz.lanes import regime_name, truth, truth_known
+from viz.remarks import flagged, quality_events, short, shortcomings
 from viz.residuals import column, names, telling_rows
 from viz.statistics import leads
 
@@ -145,9 +146,9 @@ def detection_delay(verdict: Verdict, injected: Iterable[Event]) -> float | None
 
 
 def probabilities(verdict: Verdict) -> str:
-    """The four most probable hypotheses; what is below 0.1 % is left out."""
+    """The four most probable hypotheses; what is below 1 % is left out."""
     ranked = sorted(verdict.probability.items(), key=lambda item: -item[1])[:4]
-    return ", ".join(f"{fault} {p:.1%}" for fault, p in ranked if p >= 0.001)
+    return ", ".join(f"{fault} {p:.1%}" for fault, p in ranked if p >= 0.01)
 
 
 def reasons(diagnosis: Diagnosis) -> list[str]:
@@ -156,24 +157,25 @@ def reasons(diagnosis: Diagnosis) -> list[str]:
     rows = telling_rows(samples)
     when = "in alarm" if samples["detection"].max() else "over the whole log"
     found = []
-    for name, _ in names(samples):
+    for name, source in names(samples):
         z = column(samples, f"z.{name}")[rows]
         z = z[np.isfinite(z)]
         if z.size:
             formula = diagnosis.about.residuals.get(name) if diagnosis.about else None
-            found.append((abs(z.mean()), _in_words(name, z, when, formula)))
+            found.append((abs(z.mean()), _in_words(source, z, when, formula)))
     lines = [text for _, text in sorted(found, reverse=True)[:REASONS]]
     return lines + _runner_up(diagnosis.verdict, samples.filter(pl.Series(rows)))
 
 
-def _in_words(name: str, z: Any, when: str, formula: str | None) -> str:
+def _in_words(source: str, z: Any, when: str, formula: str | None) -> str:
+    kind, _, name = source.partition(".")
     mean, beyond = float(z.mean()), float((np.abs(z) > 3.0).mean())
     strength = "far" if abs(mean) >= 3.0 else "clearly"
     where = (
         f"{strength} {'above' if mean > 0 else 'below'} expectation" if abs(mean) >= 1.0 else "as expected"
     )
     what = f"; it is {formula}" if formula else ""
-    return f"residual **{name}** is {where} {when}: mean {mean:+.1f} sigma, {beyond:.0%} beyond 3 sigma{what}"
+    return f"{kind} **{name}** is {where} {when}: mean {mean:+.1f} sigma, {beyond:.0%} beyond 3 sigma{what}"
 
 
 def _runner_up(verdict: Verdict, samples: pl.DataFrame) -> list[str]:
@@ -195,46 +197,8 @@ def _data(diagnosis: Diagnosis) -> list[str]:
     if "in_domain" in samples.columns and samples.height:
         inside = float(samples["in_domain"].mean() or 0.0)  # type: ignore[arg-type]
         lines.append(f"{inside:.0%} of {samples.height} samples in regimes known from training")
-    return lines + shortcomings(verdict.quality) + quality_events(diagnosis.log) + flagged(diagnosis.log)
-
-
-def shortcomings(quality: Mapping[str, Any]) -> list[str]:
-    """What a quality report holds against channels (``{channel: {"gaps": n, ...}}``), and its other numbers.
-
-    >>> shortcomings({"p_Int": {"gaps": 2, "missing": 0}, "T_Int": {"gaps": 0}, "usable_s": 12.0})
-    ['usable s: 12', 'gaps: p_Int']
-    """
-    channels = {name: found for name, found in quality.items() if isinstance(found, Mapping)}
-    lines = [f"{k.replace('_', ' ')}: {_short(v)}" for k, v in quality.items() if k not in channels]
-    for fault in ("gaps", "missing", "duplicates", "out_of_order", "constant"):
-        names = [name for name, found in channels.items() if found.get(fault)]
-        if names:
-            lines.append(f"{fault.replace('_', ' ')}: {_listed(names)}")
-    return lines
-
-
-def _listed(names: list[str]) -> str:
-    return ", ".join(names[:6]) + (f" … ({len(names)})" if len(names) > 6 else "")
-
-
-def quality_events(log: Log) -> list[str]:
-    """Remarks of the readers on the data, counted by kind and channel."""
-    counted: dict[tuple[str, str], int] = {}
-    for event in log.events:
-        if event.source == "quality":
-            key = (event.kind, event.channel or "all channels")
-            counted[key] = counted.get(key, 0) + 1
-    shown = [f"{kind} × {n} ({channel})" for (kind, channel), n in list(counted.items())[:8]]
-    return shown + ([f"… and {len(counted) - 8} more kinds of remarks"] if len(counted) > 8 else [])
-
-
-def flagged(log: Log) -> list[str]:
-    """Signals whose reader left a flag, by flag."""
-    by_flag: dict[str, list[str]] = {}
-    for name, signal in log.signals.items():
-        for flag in signal.flags:
-            by_flag.setdefault(flag, []).append(name)
-    return [f"{flag}: {_listed(names)}" for flag, names in by_flag.items()]
+    lines += [*shortcomings(verdict.quality), *quality_events(diagnosis.log), *flagged(diagnosis.log)]
+    return lines or ["nothing to remark"]
 
 
 def _provenance(verdict: Verdict, log: Log) -> str:
@@ -248,7 +212,7 @@ def facts(log: Log) -> list[tuple[str, str]]:
     plain.pop("path", None)  # where it lay says nothing of the log
     if "file" in plain:
         plain["file"] = PurePath(str(plain["file"])).name
-    return [(key.replace("_", " "), _short(value)) for key, value in plain.items()][:12]
+    return [(key.replace("_", " "), short(value)) for key, value in plain.items()][:12]
 
 
 def regime_table(diagnosis: Diagnosis) -> str:
@@ -313,10 +277,3 @@ def _bullets(lines: Iterable[str]) -> str:
 
 def _number(value: Any) -> str:
     return "–" if value is None else str(value) if isinstance(value, int) else f"{value:.3g}"
-
-
-def _short(value: Any) -> str:
-    if isinstance(value, float):
-        return f"{value:.4g}"
-    text = str(value)
-    return text if len(text) <= 60 else text[:24] + "…"

@@ -28,6 +28,7 @@ from viz.residuals import log_residuals
 from viz.selection import log_selections, selection_tabs
 from viz.signals import log_signals
 from viz.summary import log_summary, regime_table, summary
+from viz.viewer import check_folder
 
 MOMENTS = 8
 LATEST_S = 9.0e9  # Rerun counts nanoseconds in 64 bits
@@ -143,8 +144,7 @@ def write_recording(
     Raises:
         LogError: the folder of ``path`` does not exist.
     """
-    if not path.parent.is_dir():
-        raise LogError(f"cannot write {path}: there is no folder {path.parent}; make it first")
+    check_folder(path)
     digest = hashlib.sha256(json.dumps(identity).encode()).hexdigest()[:32]
     rec = rr.RecordingStream(application_id(name), recording_id=digest, send_properties=False)
     rec.set_log_time_enabled(False)

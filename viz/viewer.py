@@ -102,8 +102,7 @@ def merge(recordings: Sequence[Path], path: Path) -> None:
     Raises:
         LogError: the folder does not exist, or a recording is damaged.
     """
-    if not path.parent.is_dir():
-        raise LogError(f"cannot write {path}: there is no folder {path.parent}; make it first")
+    check_folder(path)
     for recording in recordings:
         _rerun("verify", str(recording), failed=f"{recording} is damaged; run its log again")
     aside = path.with_name(f".{path.name}.{os.getpid()}.rrd")
@@ -115,6 +114,13 @@ def merge(recordings: Sequence[Path], path: Path) -> None:
         aside.replace(path)
     finally:
         aside.unlink(missing_ok=True)
+
+
+def check_folder(path: Path) -> None:
+    """Raises:
+    LogError: the folder that ``path`` is to be in does not exist."""
+    if not path.parent.is_dir():
+        raise LogError(f"cannot write {path}: there is no folder {path.parent}; make it first")
 
 
 def _rerun(*words: str, failed: str) -> None:

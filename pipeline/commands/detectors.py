@@ -35,6 +35,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     made["compare"].add_argument("--on", nargs="+", metavar="LOG", help="fault-free logs neither has seen")
     made["compare"].add_argument("--details", action="store_true", help="also the rows of single regimes")
     made["compare"].add_argument("--report", type=Path, metavar="FILE.html", help="a page of it, with plots")
+    made["compare"].add_argument(
+        "--timeline", type=Path, metavar="FILE.rrd",
+        help="residuals of both on the same axes, for each LOG of --on, to be opened with `view`",
+    )  # fmt: skip
     add_map_arguments(made["compare"])
     made["promote"].add_argument("--force", action="store_true", help="even if it was found worse")
     made["promote"].add_argument("keys", nargs=1, metavar="KEY", help="a key or its beginning")
@@ -161,14 +165,19 @@ def _compare(store: Store, args: argparse.Namespace) -> int:
     from pipeline.commands.retrain import print_comparison, read_all
     from pipeline.console import Problems, print_json, progress
     from pipeline.retraining import compared
+    from pipeline.viewing import write_compared
 
     if len(args.keys) > 2:
         raise StoreError(f"detectors compare takes one key or two, got {len(args.keys)}")
     challenger = store.load(store.resolve(args.keys[-1]))
     other = args.keys[0] if len(args.keys) == 2 else "champion"
     champion = store.load(_key(store, other, challenger.recipe.name))
+    if args.timeline and not args.on:
+        raise StoreError(f"--timeline {args.timeline}: there is nothing to draw; name logs with --on")
     if args.on:
         logs = read_all({"on": find_logs(args.on)}, names_of(args), Problems())["on"]
+        if args.timeline:
+            write_compared(champion, challenger, logs, args.timeline)
         with progress("comparing", len(logs)) as step:
             found = compared(store, champion, challenger, logs, step)
     elif (kept := store.comparison(champion.key, challenger.key)) is not None:

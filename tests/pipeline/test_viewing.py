@@ -7,8 +7,10 @@ import shutil
 import subprocess
 from pathlib import Path
 
+import numpy as np
 import polars as pl
 import pytest
+from recordings import frames, series
 from rerun.chunk import RrdReader
 
 from ingest import read_log
@@ -17,7 +19,7 @@ from pipeline import run
 from pipeline.batch import Options
 from pipeline.detector import Detector
 from pipeline.runs import read_run
-from pipeline.viewing import layers, to_show
+from pipeline.viewing import layers, to_show, write_compared
 from stages.results import Diagnosis
 from viz.beside import write_beside, write_comparison
 from viz.viewer import executable
@@ -118,9 +120,32 @@ def test_two_runs_of_one_log_are_compared(out: Path, other: Path, tmp_path: Path
     assert sound(together)
     labels = [one.verdict.detector[:8] for one in (first, second) if one.verdict.detector]
     assert labels[0] != labels[1]
-    for label in labels:
-        assert f"/z/r_cyl/{label}/value" in entities(together)
+    assert "/injected" in entities(together)
+    for number, label, folder in zip((1, 2), labels, (out / "faulty", other), strict=True):
+        assert f"/residuals/r_cyl/{label}/band" in entities(together)
+        assert f"/{number}\\ {label}/diagnosed" in entities(together)
+        samples = pl.read_parquet(folder / "samples.parquet")
+        _, drawn = series(frames(together), f"/residuals/r_cyl/{label}/value Scalars:scalars")
+        assert drawn[np.isfinite(drawn)].tolist() == samples["residual.r_cyl"].to_list()
     assert f"| {labels[0]} | {labels[1]} |" in texts(together)["/summary"]
+
+
+def test_two_detectors_are_compared_on_each_log(
+    detector: Detector, second: Detector, logs: Path, tmp_path: Path
+) -> None:
+    path = tmp_path / "both.rrd"
+    write_compared(detector, second, [read_log(logs / f"{n}.parquet") for n in ("faulty", "healthy1")], path)
+    assert sound(path)
+    reader = RrdReader(path)
+    assert len(reader.recordings()) == 2
+    drawn = {
+        f"/residuals/r_cyl/{who}/{what}" for who in ("champion", "challenger") for what in ("band", "value")
+    }
+    for one in reader.recordings():
+        there = {str(chunk.entity_path) for chunk in reader.stream(store=one)}
+        assert {*drawn, "/1\\ champion/diagnosed", "/2\\ challenger/diagnosed"} <= there
+    with pytest.raises(LogError, match="there is no folder"):
+        write_compared(detector, second, [], tmp_path / "no" / "both.rrd")
 
 
 def test_two_logs_stand_side_by_side(out: Path, tmp_path: Path) -> None:

@@ -5,8 +5,8 @@ import polars as pl
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ingest.log import Event
-from viz.lanes import MOMENT, diagnosed, held
+from ingest.log import Event, Log
+from viz.lanes import MOMENT, diagnosed, held, quality_remarks
 
 times = st.integers(-5, 25).map(float)
 events = st.builds(
@@ -49,3 +49,11 @@ def test_the_most_probable_hypothesis_counts_only_in_alarm() -> None:
 
 def test_an_alarm_without_hypotheses_is_unknown() -> None:
     assert diagnosed(pl.DataFrame({"detection": [0, 1]})).tolist() == ["none", "unknown"]
+
+
+def test_what_a_simulator_alone_knows_is_not_remarked_on() -> None:
+    told = tuple(
+        Event(t_start=0.0, kind=kind, channel=channel, source="quality")
+        for kind, channel in (("stuck", "truth.W"), ("stuck", "p_Bst"), ("gap", None))
+    )
+    assert quality_remarks(Log(name="l", groups={}, events=told)) == [*told[1:]]

@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from ingest.errors import DynoscopeError
-from ingest.log import Group, Log
+from ingest.log import Group, Log, Signal
 from stages.results import RESIDUAL_EDGES, Chosen, Diagnosis
 from viz import render
 from viz.timeline import write_log_timeline, write_selections, write_timeline
@@ -81,6 +81,19 @@ def test_a_recording_without_any_time_opens_at_once(tmp_path: Path, monkeypatch:
     with render.viewer() as client:
         render.opened(client, tmp_path / "still.rrd")
         assert list(render.tabs(client))
+
+
+@needs_driver
+def test_every_page_of_a_tab_comes_to_the_front(tmp_path: Path) -> None:
+    names = [f"s{i}" for i in range(14)]
+    frame = pl.DataFrame({"time": [0.0, 1.0], **{name: [0.0, 1.0] for name in names}})
+    group = Group("g", frame, {name: Signal(name=name, unit=name) for name in names})
+    write_log_timeline(Log(name="l", groups={"g": group}), tmp_path / "l.rrd")
+    with render.viewer() as client:
+        render.opened(client, tmp_path / "l.rrd")
+        seen = {name: render.settled(client) for name in render.tabs(client)}
+    assert list(seen) == ["Overview", "Signals Page 1", "Signals Page 2"]
+    assert len(set(seen.values())) == 3
 
 
 @needs_driver

@@ -122,3 +122,6 @@ def test_never_compared(own: Store, second: Detector, capsys: pytest.CaptureFixt
     own.keep(second)
     assert main(["detectors", "compare", second.key, "--store", str(own.folder)]) == 2
     assert "have not been compared; give fault-free logs" in capsys.readouterr().err
+    words = ["detectors", "compare", second.key, "--store", str(own.folder), "--timeline", "both.rrd"]
+    assert main(words) == 2
+    assert "--timeline both.rrd: there is nothing to draw; name logs with --on" in capsys.readouterr().err
