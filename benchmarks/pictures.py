@@ -28,13 +28,17 @@ from ingest.log import Event, Group, Log, Signal
 from ingest.simulators.airpath import simulate_airpath
 from ingest.simulators.examples import simulate_example
 from ingest.simulators.faults import Fault
+from ingest.simulators.parameters import Plant
 from ingest.simulators.throttle import simulate_throttle
 from pipeline import fit, load_recipe, run
+from pipeline.adapting import adapt
 from pipeline.batch import Options
 from pipeline.detector import Detector, unfitted_detector
+from pipeline.drift import drift_report
 from pipeline.replaying import Step, replay
 from pipeline.reporting import write_report
-from pipeline.viewing import to_show
+from pipeline.viewing import to_show, write_compared
+from pipeline.wear import keep_wear
 from viz.live import Live
 from viz.render import TOASTS_S, render, settled, viewer
 from viz.viewer import free_port
@@ -155,6 +159,8 @@ def draw(name: str, make: Callable[[Path], Made], out: Path) -> None:
         pictures = render(recording, out / name, at=cursor)
         if len(logs) > 1:
             pictures += batch(folder / "out", out / "batch")
+            pictures += vehicle(folder, detector, out / "vehicle")
+            pictures += compared(folder, detector, logs[0], out / "compared")
             pictures.append(live(logs[0], detector, out / name / "live.png", cursor + 50.0))
     for picture in pictures:
         check_picture(picture)
@@ -183,6 +189,36 @@ def batch(folder: Path, out: Path) -> list[Path]:
         ]  # fmt: skip
         subprocess.run(command, check=True, capture_output=True, timeout=120)
     return pictures
+
+
+def vehicle(folder: Path, detector: Detector, out: Path) -> list[Path]:
+    """Drift and wear of a vehicle whose intake clogs from drive 8 on, and whose air mass flow sensor weakens
+    in the end."""
+    from ingest import write_log
+
+    clean, logs, kept = Plant().A_Thr, [], folder / "vehicle"
+    for day in range(24):
+        weak = [Fault(name="maf_gain", magnitude=-0.05, onset_s=0.0)] if day >= 21 else []
+        clogged = {"A_Thr": clean / np.sqrt(1.0 + 0.003 * max(day - 8, 0))}
+        name, short = f"day{day:02d}", {"cycle": "udds", "duration_s": 300.0}
+        logs.append(simulate_airpath(**short, seed=200 + day, name=name, overrides=clogged, faults=weak))
+    paths = [write_log(log, folder / f"{log.name}.parquet") for log in logs]
+    run(paths, detector, kept, Options(timeline=False))
+    drift_report(kept)
+    keep_wear(kept, adapt(logs, detector, commissioning=8))
+    overview, *_ = to_show([str(kept)], None, folder)
+    assert isinstance(overview, Path)
+    return render(overview, out)
+
+
+def compared(folder: Path, detector: Detector, path: Path, out: Path) -> list[Path]:
+    """The detector and one that has learned from another drive, on one log."""
+    from ingest import read_log
+
+    learn = [simulate_airpath(cycle=c, seed=7, name=c) for c in ("us06", "udds")]
+    challenger = fit(learn[:1], load_recipe("diesel_airpath"), learn[1:])
+    write_compared(detector, challenger, [read_log(path)], folder / "compared.rrd")
+    return render(folder / "compared.rrd", out, at=275.0)
 
 
 def live(path: Path, detector: Detector, picture: Path, until: float) -> Path:

@@ -47,15 +47,13 @@ def wide(rows: int, signals: int, rate: float = 10_000.0) -> Log:
     )
 
 
-def apart(log: Log) -> Log:
-    """The same with a unit of its own for each signal, so that each has a plot of its own."""
-    return replace(
-        log,
-        groups={
-            k: replace(g, signals={n: Signal(name=n, unit=n) for n in g.frame.columns if n != "time"})
-            for k, g in log.groups.items()
-        },
-    )
+def with_units(log: Log, unit: str | None) -> Log:
+    """The same with ``unit`` for all signals; None: with one of its own for each."""
+    groups = {
+        k: replace(g, signals={n: Signal(name=n, unit=unit or n) for n in g.frame.columns if n != "time"})
+        for k, g in log.groups.items()
+    }
+    return replace(log, groups=groups)
 
 
 def line(name: str, value: float, limit: float | None = None) -> None:
@@ -67,9 +65,9 @@ def line(name: str, value: float, limit: float | None = None) -> None:
 
 def part_1(folder: Path, rows: int, signals: int) -> None:
     log = wide(rows, signals)
-    for told, one in (("of one unit", log), ("with a unit, so a plot, of its own each", apart(log))):
+    for told, unit in (("all of one unit", "V"), ("each of a unit, so a plot, of its own", None)):
         print(f"1. {signals} signals x {rows} rows, {told}")
-        _open_and_draw(one, folder / "wide.rrd")
+        _open_and_draw(with_units(log, unit), folder / "wide.rrd")
 
 
 def _open_and_draw(log: Log, path: Path) -> None:
@@ -96,7 +94,7 @@ def part_2(folder: Path) -> None:
     print(f"2. every value kept, one signal to a plot, {rows} rows; a drive of 1370 s")
     logs = {"a simulated drive": simulate_airpath(cycle="udds", seed=1)}
     for signals, kind in ((14, pl.Float32), (14, pl.Float64), (16, pl.Float64), (40, pl.Float64)):
-        log = apart(wide(rows, signals))
+        log = with_units(wide(rows, signals), None)
         (group,) = log.groups.values()
         frame = group.frame.with_columns(pl.exclude("time").cast(kind))
         logs[f"{signals} signals of noise, {kind()}"] = replace(

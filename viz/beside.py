@@ -16,13 +16,13 @@ from stages.results import Diagnosis
 from viz import send
 from viz.colours import GREY, ORANGE, SKY_BLUE, of_fault, of_index
 from viz.lanes import diagnosed, held, truth, truth_known
-from viz.layout import KEY_SIGNALS, WholeRange, heights, lane_view, plot, scale_text, signal_range
 from viz.raster import curves
 from viz.residuals import WIDTH, column, log_band, names, view_range
-from viz.series import TRUTH, Array, break_at_gaps, lane
+from viz.series import Array, break_at_gaps, lane
 from viz.statistics import telling
 from viz.summary import headline, magnitude_text, table
 from viz.timeline import checked_span, write_recording
+from viz.views import WholeRange, heights, key_signals, lane_view, plot, scale_text, signal_range
 
 MOST, SIGNALS, RESIDUALS = 4, 3, 5
 INJECTED, BAND_ALPHA = "/injected", 90
@@ -105,9 +105,7 @@ def _column(rec: rr.RecordingStream, root: str, one: Shown) -> rrb.Container:
     """A log's signals and, of a run, its residuals in sigma and lanes, below ``/<root>``."""
     log = _log(one)
     views = []
-    numeric = [n for g in log.groups.values() for n in g.signals if g.frame.schema[n].is_numeric()]
-    ranked = [n for n in KEY_SIGNALS if n in numeric] + [n for n in numeric if not n.startswith(TRUTH)]
-    for i, name in enumerate(list(dict.fromkeys(ranked))[:SIGNALS]):
+    for i, name in enumerate(key_signals(log, SIGNALS)):
         path = send.entity(root, "signals", name)
         time, values = curves(log.group_of(name), [name])
         send.lines(rec, path, time, values, names=[name], colours=[of_index(i)])

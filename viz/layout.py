@@ -2,57 +2,47 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
-import rerun as rr
 import rerun.blueprint as rrb
 
 from stages.results import Diagnosis, OperatingMap
 from viz.distributions import LEADS, bounds
-from viz.lanes import DIAGNOSED, FAULT_LANES, INJECTED, REGIME
-from viz.layers import FINDINGS, residual_layers
+from viz.lanes import FAULT_LANES, INJECTED, REGIME
+from viz.layers import residual_layers
 from viz.model import MODEL
 from viz.monitoring import ERRORS, POLES, READINGS, Monitored
-from viz.operating_map import MAP, SOM, TRAIL_S
-from viz.plane import BACKGROUND, FRAMED, plane_view
+from viz.operating_map import SOM
+from viz.plane import BACKGROUND, plane_view
 from viz.residuals import Residual
 from viz.selection import selection_tabs
 from viz.send import TIMELINE
-from viz.series import TRUTH, Array, limits
+from viz.series import TRUTH
 from viz.signals import LogContents, Panel
+from viz.views import (
+    KEY_SIGNALS,
+    Corner,
+    WholeRange,
+    fault_lanes,
+    heights,
+    lane_view,
+    map_view,
+    plot,
+    scale_text,
+)
 
-KEY_SIGNALS = ("n_Eng", "p_Int", "W_HFM", "e_a", "theta_ang", "v_Veh")
 OVERVIEW_PANELS = 2
 OVERVIEW_RESIDUALS = 3
 PANELS_PER_PAGE = 12
 LANES_BELOW = 6
-LANES_HEAD, LANE = 0.058, 0.042  # of a screen's height
-_GLOBAL_VIEW = "view/5c0dca6a-e63f-9cf7-f657-2602590474cc"  # of the viewer, re_viewer_context; not public
-
-
-class WholeRange(rrb.Blueprint):
-    """A blueprint whose linked views open on ``span`` (s).
-
-    Linked plots share a range that has no public setting and else opens 30 s around the cursor.
-    """
-
-    def __init__(self, *parts: Any, span: tuple[float, float], **settings: Any) -> None:
-        super().__init__(*parts, **settings)
-        self.span = span
-
-    def _log_to_stream(self, stream: rr.RecordingStream) -> None:
-        super()._log_to_stream(stream)
-        start, end = (rr.TimeRangeBoundary.absolute(seconds=t) for t in self.span)
-        axis = rrb.archetypes.TimeAxis(view_range=rr.TimeRange(start=start, end=end))
-        stream.log(f"{_GLOBAL_VIEW}/TimeAxis", axis)
 
 
 def log_layout(contents: LogContents, lanes: Sequence[str], span: tuple[float, float]) -> rrb.Blueprint:
     """A log without a run: signals beside what is known of it."""
-    signals = [_signal_view(panel) for panel in overview_panels(contents.panels, 6)]
-    shares = heights([1.0] * len(signals), lanes)
+    panels = overview_panels(contents.panels, 6)
+    signals = [_signal_view(panel) for panel in panels]
+    shares = heights([_tall(panel) for panel in panels], lanes)
     left = rrb.Vertical(*signals, *lane_view("Events", lanes), row_shares=shares)
     about = rrb.TextDocumentView(origin="/summary", name="Log")
     tabs = [rrb.Horizontal(left, about, column_shares=[7, 3], name="Overview"), *signal_tabs(contents)]
@@ -101,7 +91,7 @@ def _overview(
 ) -> rrb.Container:
     panels = overview_panels(contents.panels, OVERVIEW_PANELS)
     signals = [_signal_view(panel) for panel in panels]
-    tall = [1.6 + 0.4 * min(len(panel.lines), 5) for panel in panels]  # the legend has a row for each line
+    tall = [_tall(panel) for panel in panels]
     shown = [_residual_view(r, lanes) for r in residuals[:OVERVIEW_RESIDUALS]]
     left = rrb.Vertical(
         *signals,
@@ -117,11 +107,9 @@ def _overview(
     )
 
 
-def heights(plots: Sequence[float], lanes: Sequence[str]) -> list[float]:
-    """Shares of a column's height: as much for the lanes as they need, the rest for the plots."""
-    below = [LANES_HEAD + LANE * len(lanes)] if lanes else []
-    rest = max(1.0 - sum(below), 0.3)
-    return [share / sum(plots) * rest for share in plots] + below
+def _tall(panel: Panel) -> float:
+    """The share of a column that a panel needs: its legend has a row for each line."""
+    return 1.6 + 0.4 * min(len(panel.lines), 5)
 
 
 def overview_panels(panels: Sequence[Panel], count: int) -> list[Panel]:
@@ -129,12 +117,6 @@ def overview_panels(panels: Sequence[Panel], count: int) -> list[Panel]:
     keyed = [panel for key in KEY_SIGNALS for panel in panels if key in panel.signals]
     measured = [panel for panel in panels if not all(name.startswith(TRUTH) for name in panel.signals)]
     return list(dict.fromkeys([*keyed, *(measured or panels)]))[:count]
-
-
-def signal_range(values: Array) -> tuple[float, float]:
-    """Round limits around the finite values."""
-    known = values[np.isfinite(values)]
-    return limits(float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
 
 
 def signal_tabs(contents: LogContents) -> list[rrb.Container]:
@@ -175,10 +157,14 @@ def _regimes(plane: OperatingMap) -> rrb.Container:
 
 def _evidence(lanes: Sequence[str], diagnosis: Diagnosis) -> rrb.Container:
     shown = [lane for lane in lanes if lane in FAULT_LANES]
-    views = [plot("Probability of each hypothesis [1]", ["/probability/leading"], (-0.03, 1.03))]
+    time, alarm = diagnosis.samples["time"].to_numpy(), diagnosis.samples["detection"].to_numpy() > 0
+    early = bool(alarm[time < 0.85 * time[0] + 0.15 * time[-1]].any()) if time.size else False
+    corner: Corner = "RightBottom" if early else "LeftTop"  # the lines begin to rise at the alarm
+    title = "Probability of each hypothesis [1]"
+    views = [plot(title, ["/probability/leading"], (-0.03, 1.03), corner=corner)]
     if any(c.startswith("evidence.") for c in diagnosis.samples.columns):
         words = "Evidence for each hypothesis [nats: 1 makes it e times as likely as no fault]"
-        views.append(plot(words, ["/evidence/leading"]))
+        views.append(plot(words, ["/evidence/leading"], corner=corner))
     shares = heights([1.0] * len(views), shown)
     return rrb.Vertical(*views, *fault_lanes(shown), row_shares=shares, name="Evidence")
 
@@ -217,31 +203,11 @@ def _compensation(monitored: Monitored, lanes: Sequence[str]) -> rrb.Container:
     return rrb.Horizontal(*parts, column_shares=[3, 2][: len(parts)], name="Compensation")
 
 
-def map_view() -> rrb.Spatial2DView:
-    trail = rrb.VisibleTimeRanges(
-        timeline=TIMELINE,
-        start=rrb.TimeRangeBoundary.cursor_relative(seconds=-TRAIL_S),
-        end=rrb.TimeRangeBoundary.cursor_relative(),
-    )
-    title = f"Operating map · samples by regime · white: cursor and the {TRAIL_S:.0f} s before"
-    return plane_view(MAP, title, FRAMED, {f"{MAP}/trail": [trail]})
-
-
 def _signal_view(panel: Panel) -> rrb.TimeSeriesView:
     drawn: dict[str, list[Any]] = {}
     for line in panel.lines:
         drawn.setdefault(line.entity, []).append(line.visualizer())
     return plot(panel.title, drawn, panel.range, legend=len(panel.lines) > 1, drawn=drawn)
-
-
-def scale_text(shown: tuple[float, float]) -> str:
-    """How far a plot's axis reaches; low plots have few ticks.
-
-    >>> scale_text((-0.34, 0.34)), scale_text((810.0, 1200.0))
-    ('scale ±0.34', 'scale 810 to 1200')
-    """
-    low, high = (float(f"{v:.2g}") for v in shown)
-    return f"scale ±{high:g}" if low == -high else f"scale {low:g} to {high:g}"
 
 
 def _residual_view(residual: Residual, lanes: Sequence[str], legend: bool = False) -> rrb.TimeSeriesView:
@@ -250,36 +216,3 @@ def _residual_view(residual: Residual, lanes: Sequence[str], legend: bool = Fals
     title = f"{residual.title} · {scale_text(residual.range)} · {marks}"
     paths = [f"{residual.path}/**", f"{residual_layers(residual.name)}/**"]
     return plot(title, paths, residual.range, legend=legend)
-
-
-def plot(
-    name: str,
-    paths: Iterable[str],
-    range_: tuple[float, float] | None = None,
-    *,
-    legend: bool = True,
-    drawn: dict[Any, Any] | None = None,
-) -> rrb.TimeSeriesView:
-    """A plot of the entities ``paths``, drawn as they say of themselves or as ``drawn`` has it."""
-    return rrb.TimeSeriesView(
-        origin="/",
-        contents=[f"+ {path}" for path in paths],
-        name=name,
-        axis_x=rrb.TimeAxis(link="LinkToGlobal"),
-        axis_y=rrb.ScalarAxis(range=range_) if range_ else None,
-        plot_legend=rrb.PlotLegend(corner="LeftTop", visible=legend),
-        overrides=drawn,
-    )
-
-
-def fault_lanes(paths: Sequence[str]) -> list[rrb.StateTimelineView]:
-    """The lanes of what was found, and of what was injected where that is known."""
-    return lane_view("What was injected, what was found" if INJECTED in paths else "What was found", paths)
-
-
-def lane_view(name: str, paths: Sequence[str]) -> list[rrb.StateTimelineView]:
-    if not paths:
-        return []
-    axis = rrb.TimeAxis(link="LinkToGlobal")
-    contents = [f"+ {path}" for path in paths] + ([f"+ {FINDINGS}/**"] if DIAGNOSED in paths else [])
-    return [rrb.StateTimelineView(origin="/", contents=contents, name=name, time_view=axis)]

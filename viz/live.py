@@ -14,16 +14,16 @@ from numpy.typing import NDArray
 from ingest.log import TIME, Log
 from stages.results import DETECTION, EVIDENCE, PROBABILITY, Diagnosis, OperatingMap, Verdict
 from viz import send
-from viz.colours import EXCEEDANCE, GREY, SKY_BLUE, of_fault, of_index
+from viz.colours import DIM, EXCEEDANCE, GREY, SKY_BLUE, of_fault, of_index
 from viz.evidence import LEADING
 from viz.lanes import ALARM, DIAGNOSED, INJECTED, REGIME, diagnosed, held, regime_name, truth, truth_known
-from viz.layout import KEY_SIGNALS, WholeRange, fault_lanes, heights, map_view, plot, signal_range
 from viz.operating_map import MAP, log_cursor, log_regions
 from viz.plane import Axes, frame
 from viz.raster import curves
 from viz.residuals import WIDTH, column, names
-from viz.series import TRUTH, Array, at_times, changes
+from viz.series import Array, at_times, changes
 from viz.summary import WORDS, headline, summary
+from viz.views import WholeRange, fault_lanes, heights, key_signals, map_view, plot, signal_range
 
 SIGNALS, RESIDUALS = 3, 3
 BAND = "/z_band"
@@ -42,7 +42,7 @@ class Live:
         self, rec: rr.RecordingStream, log: Log, samples: pl.DataFrame, plane: OperatingMap | None
     ) -> None:
         self.rec, self.log = rec, log
-        self.signals = _key_signals(log)
+        self.signals = key_signals(log, SIGNALS)
         self.residuals = [name for name, _ in names(samples)]
         self.faults = [c.removeprefix(EVIDENCE) for c in samples.columns if c.startswith(EVIDENCE)]
         self.axes = _axes(log, plane)
@@ -101,7 +101,7 @@ class Live:
         injected = ["none", *kinds, "+".join(kinds) or "none"] if truth_known(self.log) else []
         regimes = [] if plane is None else [regime_name(i) for i in range(len(plane.nodes))]
         for path, palette in (
-            (ALARM, {"no alarm": GREY, "alarm": EXCEEDANCE}),
+            (ALARM, {"no alarm": DIM, "alarm": EXCEEDANCE}),
             (DIAGNOSED, {f: of_fault(f) for f in known}),
             (INJECTED, {f: of_fault(f) for f in injected}),
             (REGIME, {name: of_index(i) for i, name in enumerate(regimes)}),
@@ -144,7 +144,8 @@ class Live:
             ("Probability of each hypothesis", "probability", (-0.03, 1.03)),
             ("Evidence [nats: e times as likely]", "evidence", None),
         ):
-            right.append(plot(title, [send.entity(root, f) for f in faults], scale))
+            paths = [send.entity(root, f) for f in faults]
+            right.append(plot(title, paths, scale, corner="RightTop"))  # where time comes last
         return WholeRange(
             rrb.Horizontal(
                 left,
@@ -203,12 +204,6 @@ class Live:
             time, placed = np.append(self.last[0], time), np.vstack([self.last[1], placed])
         log_cursor(self.rec, time, placed)
         self.last = float(time[-1]), placed[-1]
-
-
-def _key_signals(log: Log) -> list[str]:
-    numeric = [n for g in log.groups.values() for n in g.signals if g.frame.schema[n].is_numeric()]
-    ranked = [n for n in KEY_SIGNALS if n in numeric] + [n for n in numeric if not n.startswith(TRUTH)]
-    return list(dict.fromkeys(ranked))[:SIGNALS]
 
 
 def _axes(log: Log, plane: OperatingMap | None) -> Axes | None:

@@ -16,12 +16,12 @@ from viz import send
 from viz.colours import DIM, of_fault
 from viz.drift import Drifted, log_drift
 from viz.lanes import diagnosed
-from viz.layout import WholeRange, lane_view
 from viz.residuals import column
 from viz.series import lane
 from viz.summary import WORDS, magnitude_text, table
 from viz.tables import judged
 from viz.timeline import write_recording
+from viz.views import WholeRange, lane_view
 from viz.wear import Worn, log_wear
 
 PER_PAGE = 14

@@ -14,7 +14,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from viz.colours import BLUE, DIM, GREY, VERMILLION, WHITE, Colour
+from viz.colours import BLUE, DIM, VERMILLION, WHITE, Colour
 from viz.series import Array, limits, tick_step
 
 WIDTH, HEIGHT = 100.0, 75.0
@@ -22,6 +22,7 @@ Range = tuple[float, float]
 FRAMED: tuple[Range, Range] = (-10.0, WIDTH + 5.0), (-HEIGHT - 9.0, 15.0)
 """Limits across and downwards of what :func:`frame` draws."""
 BACKGROUND = (16, 17, 20)
+TICKS: Colour = (215, 215, 215)  # read on the dark boxes of the dark theme and the grey ones of the light
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,7 +59,7 @@ def frame(rec: rr.RecordingStream, path: str, axes: Axes, across: str, up: str) 
             at.append([x, 2.5] if horizontal else [-3.5, y - 1.0])
             words.append(f"{0.0 if abs(value) < step / 1e6 else value:.6g}")
     rec.log(f"{path}/grid", rr.LineStrips2D(grid, colors=DIM, radii=rr.Radius.ui_points(0.5)), static=True)
-    text(rec, f"{path}/ticks", at, words, GREY)
+    text(rec, f"{path}/ticks", at, words, TICKS)
     text(rec, f"{path}/axes", [[WIDTH / 2, 7.5], [8.0, -HEIGHT - 4.5]], [across, up], WHITE)
 
 

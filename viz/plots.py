@@ -27,11 +27,11 @@ from viz.colours import (
     of_index,
 )
 from viz.evidence import leading, table
-from viz.layout import KEY_SIGNALS
 from viz.residuals import WIDTH, column, names, view_range
 from viz.series import Array, break_at_gaps, envelope, spans
 from viz.statistics import abscissa, cdf, in_alarm, telling
 from viz.svg import FAINT, INK
+from viz.views import KEY_SIGNALS
 
 POINTS = 480
 """Points of a line: about one a pixel."""

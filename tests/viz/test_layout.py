@@ -6,9 +6,10 @@ import pytest
 import rerun.blueprint as rrb
 
 from viz.colours import BLUE
-from viz.layout import LANE, PANELS_PER_PAGE, heights, overview_panels, signal_tabs
+from viz.layout import PANELS_PER_PAGE, overview_panels, signal_tabs
 from viz.send import Line
 from viz.signals import LogContents, Panel
+from viz.views import LANE, heights
 
 
 def panel(*names: str) -> Panel:
