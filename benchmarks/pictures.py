@@ -198,7 +198,7 @@ def vehicle(folder: Path, detector: Detector, out: Path) -> list[Path]:
 
     clean, logs, kept = Plant().A_Thr, [], folder / "vehicle"
     for day in range(24):
-        weak = [Fault(name="maf_gain", magnitude=-0.05, onset_s=0.0)] if day >= 21 else []
+        weak = [Fault(name="maf_gain", magnitude=-0.05, onset_s=0.0)] if day >= 19 else []
         clogged = {"A_Thr": clean / np.sqrt(1.0 + 0.003 * max(day - 8, 0))}
         name, short = f"day{day:02d}", {"cycle": "udds", "duration_s": 300.0}
         logs.append(simulate_airpath(**short, seed=200 + day, name=name, overrides=clogged, faults=weak))

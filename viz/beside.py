@@ -68,7 +68,7 @@ def write_comparison(first: Diagnosis, second: Diagnosis, path: Path, labels: tu
     def fill(rec: rr.RecordingStream) -> None:
         span = checked_span(first.log)
         views = [_compared(rec, name, both, labels) for name in common]
-        roots = [f"{i} {label}" for i, label in enumerate(labels, 1)]  # lanes stand in the order of paths
+        roots = [f"{i}_{label}" for i, label in enumerate(labels, 1)]  # lanes stand in the order of paths
         lanes = [p for root, one in zip(roots, both, strict=True) for p in _found(rec, root, one)]
         lanes += _injected(rec, INJECTED, first.log)
         send.markdown(rec, "/summary", _verdicts(both, labels))

@@ -16,6 +16,8 @@ from viz.plane import Axes, frame, plane_view
 from viz.series import Array
 
 INCHES, COLUMNS = 9.6, 2
+Line = tuple[tuple[tuple[float, float], ...], Colour]
+"""Corners of a line, and its colour."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,7 +33,7 @@ class Trace:
     first: int = 1
     bars: Array | None = None
     band: tuple[float, float] | None = None
-    lines: tuple[tuple[tuple[tuple[float, float], ...], Colour], ...] = ()
+    lines: tuple[Line, ...] = ()
     mark: tuple[int, Colour] | None = None
 
     @property

@@ -24,7 +24,7 @@ from viz.timeline import write_recording
 from viz.views import WholeRange, lane_view
 from viz.wear import Worn, log_wear
 
-PER_PAGE = 14
+PER_PAGE = 22
 SAMPLES = ("time", "detection")
 """Columns needed of a log's samples, besides its probabilities."""
 Row = Mapping[str, Any]
@@ -94,7 +94,9 @@ def _lanes(rec: rr.RecordingStream, logs: Sequence[Overviewed]) -> tuple[tuple[f
         send.states(rec, paths[-1], at, states, {f: of_fault(f) for f in set(states) if f} | {"none": DIM})
     paths.sort()
     pages = [paths[i : i + PER_PAGE] for i in range(0, len(paths), PER_PAGE)]
-    views = [v for part in pages for v in lane_view("What was found when, from each log's start", part)]
+    title = "What was found when, from each log's start"
+    named = [f"{title} ({i} of {len(pages)})" if len(pages) > 1 else title for i in range(1, len(pages) + 1)]
+    views = [v for name, part in zip(named, pages, strict=True) for v in lane_view(name, part)]
     return (0.0, end), list(views)
 
 

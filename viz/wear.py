@@ -13,7 +13,7 @@ import rerun.blueprint as rrb
 from stages.results import Magnitude
 from viz import send
 from viz.colours import DETECTED, EXCEEDANCE, GREY, ORANGE, SKY_BLUE, Colour
-from viz.over_logs import Trace, log_trace, traces_plot
+from viz.over_logs import Line, Trace, log_trace, traces_plot
 from viz.series import Array
 from viz.summary import magnitude_text
 from viz.svg import style, themed
@@ -71,10 +71,12 @@ class Worn:
                 f"alarm in {len(alarms)} of {len(self.logs)} logs, first in {first}: more than wear within "
                 f"its budget; in {last} it may be {self.faults[alarms[-1]] or 'no fault of the recipe'}"
             )
+        elif self.evidence[-1] > self.threshold:
+            told.append(f"evidence of a fault in {self.logs[-1]}; in a second log in a row it is an alarm")
         else:
             told.append("no fault beyond the wear")
-            if self.faults[-1]:
-                told.append(f"what explains the last logs as well as wear does: {self.faults[-1]}")
+        if self.faults[-1] and not alarms:
+            told.append(f"what explains the last logs as well as wear does: {self.faults[-1]}")
         return told
 
 
@@ -123,9 +125,13 @@ def _traces(one: Worn) -> list[Trace]:
     threshold = np.sqrt(one.threshold)
     evidence = Trace(
         name="evidence of a fault", unit="sigma", y=np.sqrt(np.maximum(one.evidence, 0.0)), shades=shades,
-        first=first, band=(0.0, threshold), lines=((((0.5, threshold), (last + 0.5, threshold)), DETECTED),),
+        first=first, lines=(_level(0.0, last, GREY), _level(threshold, last, DETECTED)),
     )  # fmt: skip
     return [evidence, *(_kind(kind, one.reference, last, shades) for kind in one.kinds)]
+
+
+def _level(y: float, last: int, colour: Colour) -> Line:
+    return ((0.5, y), (last + 0.5, y)), colour
 
 
 def _kind(kind: Kind, reference: int, last: int, shades: tuple[Colour, ...]) -> Trace:

@@ -123,7 +123,7 @@ def test_two_runs_of_one_log_are_compared(out: Path, other: Path, tmp_path: Path
     assert "/injected" in entities(together)
     for number, label, folder in zip((1, 2), labels, (out / "faulty", other), strict=True):
         assert f"/residuals/r_cyl/{label}/band" in entities(together)
-        assert f"/{number}\\ {label}/diagnosed" in entities(together)
+        assert f"/{number}_{label}/diagnosed" in entities(together)
         samples = pl.read_parquet(folder / "samples.parquet")
         _, drawn = series(frames(together), f"/residuals/r_cyl/{label}/value Scalars:scalars")
         assert drawn[np.isfinite(drawn)].tolist() == samples["residual.r_cyl"].to_list()
@@ -143,7 +143,7 @@ def test_two_detectors_are_compared_on_each_log(
     }
     for one in reader.recordings():
         there = {str(chunk.entity_path) for chunk in reader.stream(store=one)}
-        assert {*drawn, "/1\\ champion/diagnosed", "/2\\ challenger/diagnosed"} <= there
+        assert {*drawn, "/1_champion/diagnosed", "/2_challenger/diagnosed"} <= there
     with pytest.raises(LogError, match="there is no folder"):
         write_compared(detector, second, [], tmp_path / "no" / "both.rrd")
 

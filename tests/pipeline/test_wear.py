@@ -61,6 +61,12 @@ def test_vehicles_stand_beside_each_other_and_a_later_report_takes_the_place(out
     one, two = wear_of_batch(out)
     assert (one.vehicle, two.vehicle) == ("van", "no vehicle")
     assert "no fault beyond the wear" in one.words()
+    doubtful = adapted("van", 0)
+    doubtful["drives"][-1] |= {"T": 30.0, "learned": False}
+    keep_wear(out, doubtful)
+    assert (
+        "evidence of a fault in d11; in a second log in a row it is an alarm" in wear_of_batch(out)[0].words()
+    )
 
 
 def test_the_overview_draws_every_log_at_its_number(out: Path, tmp_path: Path) -> None:
