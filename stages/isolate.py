@@ -42,7 +42,7 @@ from stages.gate import GATE
 from stages.hypotheses import Drift, Hypothesis, Points
 from stages.likelihood import SUMS
 from stages.memory import CLOCKS, Memory, Rows, Settings
-from stages.offsets import offset_sd
+from stages.offsets import correlation_times, offset_sd
 from stages.relations import familiarity
 from stages.residuals import Residuals, residual_names
 from stages.results import DETECTABLE, DETECTION, EVIDENCE, PROBABILITY, SIZE, SIZE_SD, STATISTIC, UNKNOWN
@@ -78,7 +78,7 @@ class Isolate:
             before this stage; nothing learned yet.
     """
 
-    version: ClassVar[str] = "5"
+    version: ClassVar[str] = "6"
     learns_from: ClassVar[Literal["calibration"]] = "calibration"
     hypotheses: Mapping[str, Hypothesis]
     drifts: Mapping[str, Drift] = field(default_factory=dict)
@@ -155,7 +155,10 @@ class Isolate:
         largest = []
         judged = self._judged(residual_names(blocks[0]))
         given = np.array([self.offsets.get(r, {}).get("1", 0.0) for r in judged])
-        learned = {"offset_sd": offset_sd(blocks, judged, given, self.memories_s[-2], self.correlation_s)}
+        learned = {
+            "offset_sd": offset_sd(blocks, judged, given, self.memories_s[-2], self.correlation_s),
+            "correlation_s": correlation_times(blocks, judged, self.correlation_s),
+        }
         silent = replace(self, learned={"threshold": np.full(shape, np.inf), **learned})
         for block, passed in zip(blocks, before, strict=True):
             stage = silent.connect(passed)
@@ -206,7 +209,7 @@ class Isolate:
         dt = np.diff(time, prepend=state.time)
         dt = np.where(np.isfinite(dt), dt, self.correlation_s)
         gate = np.nan_to_num(values.get(GATE, np.ones(time.size)), nan=0.0)
-        active, share = self.looked_at(time, dt, gate >= self.min_gate, state.seen)
+        active, stands_for = self._looked_at(time, dt, gate >= self.min_gate, state.seen)
         wanted = {TIME, GATE, *self.points.needs} & values.keys()
         needed = {c: values[c][active] for c in wanted}
         e, sigma, doubt, novelty = self.points.evaluate(needed, time[active] - first)
@@ -214,8 +217,8 @@ class Isolate:
             dt=dt,
             active=active,
             place=self._place(values),
-            share=share,
-            known=familiarity(novelty, self.known_to),
+            share=np.minimum(stands_for / self.correlation_s, 1.0),
+            weight=self.weight(stands_for) * familiarity(novelty, self.known_to),
             e=e,
             sigma=sigma,
             ln_sigma=np.log(sigma),
@@ -252,18 +255,22 @@ class Isolate:
             PROBABILITY + UNKNOWN: p[:, -1].astype(np.float32),
         }
 
-    def looked_at(
+    def weight(self, stands_for: Array) -> Array:
+        """Which share of an independent sample a sample is that stands for some time (rows,), in s; shape
+        (rows, residuals)."""
+        return np.minimum(stands_for[:, None] / self.learned["correlation_s"], 1.0)
+
+    def _looked_at(
         self, time: Array, dt: Array, usable: NDArray[np.bool_], seen: float
     ) -> tuple[NDArray[np.bool_], Array]:
-        """The first usable row of every ``every_s``, and which share of an independent sample each is;
-        ``seen``: when the last one before was."""
+        """The first usable row of every ``every_s``, and how long each stands for, in s; ``seen``: when the
+        last one before was."""
         active = usable.copy()
         if self.every_s > 0:
             part = np.floor(np.append(seen, time[usable]) / self.every_s + 1e-6)
             active[usable] = part[1:] != part[:-1]
         stands_for = np.minimum(np.diff(time[active], prepend=seen), self.every_s)
-        stands_for = np.fmax(stands_for, dt[active])
-        return active, np.minimum(stands_for, self.correlation_s) / self.correlation_s
+        return active, np.fmax(stands_for, dt[active])
 
     def _place(self, values: Mapping[str, Array]) -> Array:
         """The operating point in units of what ends a rest, shape (rows, columns of ``rest``)."""

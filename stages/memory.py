@@ -25,14 +25,14 @@ CLOCKS = 11
 class Rows(NamedTuple):
     """What is known of a block's rows; only of those ``active``: ``share`` (active rows,) of an independent
     sample, ``e sigma ln_sigma doubt`` (active rows, residuals, points), ``shapes`` (active rows, residuals,
-    2), ``known`` (active rows, residuals). ``place`` (rows, any): the operating point, a rest ends 1 away
+    2), ``weight`` (active rows, residuals) that each counts. ``place`` (rows, any): the operating point, a rest ends 1 away
     from where it began."""
 
     dt: Array
     active: NDArray[np.bool_]
     place: Array
     share: Array
-    known: Array
+    weight: Array
     e: Array
     sigma: Array
     ln_sigma: Array
@@ -114,7 +114,7 @@ def remember(
         return
     share = rows.share[row]
     row_of = (rows.e[row], rows.sigma[row], rows.ln_sigma[row], rows.doubt[row])
-    weights, seen = share * rows.known[row], clocks[SEEN]
+    weights, seen = rows.weight[row], clocks[SEEN]
     add_sample(memory.fresh, row_of, grid, rows.shapes[row], weights, memory.S[1], seen, settings.clip)
     clocks[SEEN] += share
     clocks[ACTIVE] = 1.0

@@ -1,4 +1,5 @@
-"""Offsets: how far a healthy system's residuals are off zero for minutes, learned from several logs."""
+"""Offsets and correlation: how far a healthy system's residuals are off zero for minutes, and for how long
+their errors stay the same, learned from several logs."""
 
 from __future__ import annotations
 
@@ -8,11 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ingest.log import TIME, Log
+from stages.gate import GATE
 from stages.residuals import RESIDUAL, SIGMA
 from stages.stage import columns
 
 Array = NDArray[np.float64]
 MIN_LOGS = 3  # fewer do not tell what differs from run to run
+SPAN_S = 30.0  # errors of longer are offsets
+BOUNDS_S = (1.0, 10.0)
 
 
 def offset_sd(
@@ -39,3 +43,30 @@ def offset_sd(
             excess = (np.bincount(part, weight * np.nan_to_num(e)) / S0) ** 2 - samples / S0
             square[i] += max(float(np.average(excess, weights=S0)), 0.0)
     return np.asarray(np.sqrt(square / (len(blocks) + 1)))
+
+
+def correlation_times(blocks: Sequence[Log], residuals: Sequence[str], given_s: float) -> Array:
+    """How long a residual's errors stay the same, in s, shape (residuals,).
+
+    Were they independent from sample to sample, the squares of their sums over spans would be the sums of
+    their squares. With w the gate, z_i the residual over its spread less the log's mean, dt between samples,
+
+        tau = dt sum_spans (sum_i w_i z_i)^2 / sum_i (w_i z_i)^2,
+
+    held within ``BOUNDS_S``; spikes count as 5 spreads. With fewer than ``MIN_LOGS`` different logs it is
+    ``given_s``.
+    """
+    if len({block.name for block in blocks}) < MIN_LOGS:
+        return np.full(len(residuals), given_s)
+    sums = np.zeros((2, len(residuals)))
+    for block in blocks:
+        values = columns(block)
+        time = values[TIME]
+        part = ((time - time[0]) // SPAN_S).astype(int)
+        for i, r in enumerate(residuals):
+            z = np.clip(values[RESIDUAL + r] / values[SIGMA + r], -5.0, 5.0)
+            w = np.where(np.isfinite(z), np.nan_to_num(values.get(GATE, np.ones(time.size))), 0.0)
+            z = w * (np.nan_to_num(z) - np.average(np.nan_to_num(z), weights=np.maximum(w, 1e-12)))
+            dt = float(np.median(np.diff(time)))
+            sums[:, i] += dt * (np.bincount(part, z) ** 2).sum(), (z**2).sum()
+    return np.clip(sums[0] / np.maximum(sums[1], 1e-12), *BOUNDS_S)

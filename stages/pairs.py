@@ -38,7 +38,7 @@ from stages.stage import ANALYSIS, Stage, add_columns, columns
 Array = NDArray[np.float64]
 FIRST, GROWTH = 20, 3.0  # samples of an alarm before pairs are looked at, and after which factor again
 REFINED, FEW = 12, 50  # pairs at most, samples to find them by
-SHARE = "share"  # of an independent sample
+STANDS_FOR = "stands_for"  # s
 NOTHING = Pair(-np.inf, 0.0, (np.nan, np.nan), (np.nan, np.nan))
 
 
@@ -120,10 +120,9 @@ class Pairs:
         on = values[DETECTION] > 0
         gate = np.nan_to_num(values.get(GATE, np.ones(time.size)), nan=0.0)
         usable = on & (gate >= self.isolate.min_gate)
-        share = np.minimum(np.where(np.isfinite(dt), dt, np.inf), self.isolate.correlation_s)
-        share /= self.isolate.correlation_s
+        dt = np.where(np.isfinite(dt), dt, self.isolate.correlation_s)
         wanted = {TIME, GATE, *self.isolate.points.needs} & values.keys()
-        samples = {c: values[c] for c in wanted} | {ELAPSED: time - state.first, SHARE: share}
+        samples = {c: values[c] for c in wanted} | {ELAPSED: time - state.first, STANDS_FOR: dt}
         found: dict[int, Mapping[str, Pair]] = {0: state.found}  # from a row on
         taken = 0
         for k in np.flatnonzero(on | np.append(True, on[:-1])).tolist():
@@ -155,7 +154,7 @@ class Pairs:
         """The pairs that say more than any single fault, their sizes refined; ``height`` is by how much."""
         isolate = self.isolate
         points, shapes = isolate.points, isolate.shapes(samples)
-        weight = np.tile(samples[SHARE][:, None], (1, len(points.residuals)))
+        weight = isolate.weight(samples[STANDS_FOR])
         window = Window(points, isolate.grid, samples, shapes, isolate.sd, weight, isolate.clip)
         few, drifts, names = window.thinned(FEW), len(isolate.drifts), [*isolate.hypotheses]
         place = {f: drifts + k for k, f in enumerate(names)}

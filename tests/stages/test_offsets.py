@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import polars as pl
 import pytest
+from scipy.signal import lfilter
 
 from ingest.log import Group, Log
-from stages.offsets import offset_sd
+from stages.offsets import correlation_times, offset_sd
 from stages.stage import ANALYSIS
 
 
@@ -46,3 +47,18 @@ def test_noise_is_no_offset_and_what_is_supposed_counts_as_one_log() -> None:
 
 def test_few_logs_tell_nothing() -> None:
     assert offset_sd(logs(2, 5.0), ["r"], np.array([0.1]), 100.0, 0.5)[0] == 0.1
+
+
+@pytest.mark.parametrize(("phi", "tau"), [(0.0, 1.0), (0.6, 2.0), (0.8, 4.5), (0.99, 10.0)])
+def test_the_correlation_time_of_a_first_order_process(phi: float, tau: float) -> None:
+    """Its errors add up as if each half second were ``(1 + phi) / (1 - phi)`` of them; held within 1 to
+    10."""
+    rng, t = np.random.default_rng(5), np.arange(0, 3000, 0.5)
+
+    def log(i: int) -> Log:
+        z = lfilter([np.sqrt(1 - phi**2)], [1, -phi], rng.normal(size=t.size))
+        frame = pl.DataFrame({"time": t, "residual.r": 3 + 2 * z, "sigma.r": np.full(t.size, 2.0)})
+        return Log(f"log{i}", {ANALYSIS: Group(ANALYSIS, frame)})
+
+    assert correlation_times([log(i) for i in range(8)], ["r"], 2.0)[0] == pytest.approx(tau, rel=0.15)
+    assert correlation_times([log(0)], ["r"], 2.0)[0] == 2.0
