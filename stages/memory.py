@@ -24,9 +24,9 @@ CLOCKS = 11
 
 class Rows(NamedTuple):
     """What is known of a block's rows; only of those ``active``: ``share`` (active rows,) of an independent
-    sample, ``e sigma ln_sigma doubt`` (active rows, residuals, points), ``shapes`` (active rows, residuals,
-    2), ``weight`` (active rows, residuals) that each counts. ``place`` (rows, any): the operating point, a rest ends 1 away
-    from where it began."""
+    sample, ``weight`` (active rows, residuals) that each counts, ``e sigma ln_sigma doubt`` (active rows,
+    residuals, points), ``shapes`` (active rows, residuals, 2). ``place`` (rows, any): the operating point, a
+    rest ends 1 away from where it began."""
 
     dt: Array
     active: NDArray[np.bool_]

@@ -69,4 +69,4 @@ def correlation_times(blocks: Sequence[Log], residuals: Sequence[str], given_s: 
             z = w * (np.nan_to_num(z) - np.average(np.nan_to_num(z), weights=np.maximum(w, 1e-12)))
             dt = float(np.median(np.diff(time)))
             sums[:, i] += dt * (np.bincount(part, z) ** 2).sum(), (z**2).sum()
-    return np.clip(sums[0] / np.maximum(sums[1], 1e-12), *BOUNDS_S)
+    return np.asarray(np.clip(sums[0] / np.maximum(sums[1], 1e-12), *BOUNDS_S))
