@@ -42,7 +42,7 @@ from stages.gate import GATE
 from stages.hypotheses import Drift, Hypothesis, Points
 from stages.likelihood import SUMS
 from stages.memory import CLOCKS, Memory, Rows, Settings
-from stages.offsets import correlation_times, offset_sd
+from stages.offsets import correlation_times, offset_sd, shape_sd
 from stages.relations import familiarity
 from stages.residuals import Residuals, residual_names
 from stages.results import DETECTABLE, DETECTION, EVIDENCE, PROBABILITY, SIZE, SIZE_SD, STATISTIC, UNKNOWN
@@ -64,7 +64,8 @@ class IsolateState:
 
 @dataclass(frozen=True, kw_only=True)
 class Isolate:
-    """``offsets``: by residual, what differs from run to run: a shape's formula and its standard deviation;
+    """``offsets``: by residual, what differs from run to run: a shape's formula and its standard deviation,
+    which counts as one log beside those of the calibration;
     ``residuals``: those to judge by, all if none is named; ``every_s``: one usable sample in this time is
     looked at and stands for the others; ``rest``: columns that no fault concerns, and the relative change of
     each that ends a rest (none: no search for steps).
@@ -118,8 +119,12 @@ class Isolate:
 
     @property
     def needs(self) -> set[str]:
-        shapes = {name for s in self.offsets.values() for text in s for name in Formula(text).names}
-        return shapes.union(self.rest, *(h.needs for h in self.hypotheses.values()))
+        return self._shaped.union(self.rest, *(h.needs for h in self.hypotheses.values()))
+
+    @cached_property
+    def _shaped(self) -> set[str]:
+        """What the offsets' shapes are made of."""
+        return {name for s in self.offsets.values() for text in s for name in Formula(text).names}
 
     @property
     def adds(self) -> set[str]:
@@ -155,8 +160,11 @@ class Isolate:
         largest = []
         judged = self._judged(residual_names(blocks[0]))
         given = np.array([self.offsets.get(r, {}).get("1", 0.0) for r in judged])
+        second = np.array([[*self.offsets.get(r, {}).values(), 0.0, 0.0][1] for r in judged])
+        shapes = [self.shapes(columns(b), judged)[:, :, 1] for b in blocks]
         learned = {
             "offset_sd": offset_sd(blocks, judged, given, self.memories_s[-2], self.correlation_s),
+            "shape_sd": shape_sd(blocks, judged, shapes, second, self.correlation_s),
             "correlation_s": correlation_times(blocks, judged, self.correlation_s),
         }
         silent = replace(self, learned={"threshold": np.full(shape, np.inf), **learned})
@@ -223,7 +231,7 @@ class Isolate:
             sigma=sigma,
             ln_sigma=np.log(sigma),
             doubt=doubt,
-            shapes=self.shapes(needed),
+            shapes=self.shapes(needed | {c: values[c][active] for c in self._shaped}, self.points.residuals),
         )
         memory = Memory(*(x.copy() for x in state.memory))
         out = follow(rows, self.grid, self._settings, memory)
@@ -279,10 +287,10 @@ class Isolate:
             place[:, j] = np.log(np.maximum(values[name], 1e-12)) / within
         return place
 
-    def shapes(self, values: Mapping[str, Array]) -> Array:
+    def shapes(self, values: Mapping[str, Array], residuals: Sequence[str]) -> Array:
         """Offset shapes at each row, shape (rows, residuals, 2)."""
-        shapes = np.zeros((len(values[TIME]), len(self.points.residuals), 2))
-        for i, r in enumerate(self.points.residuals):
+        shapes = np.zeros((len(values[TIME]), len(residuals), 2))
+        for i, r in enumerate(residuals):
             for k, text in enumerate(self.offsets.get(r, {})):
                 shapes[:, i, k] = Formula(text)(values)
             if r not in self.offsets:
@@ -314,6 +322,7 @@ class Isolate:
         for i, r in enumerate(self.points.residuals):
             given = self.offsets.get(r, {})
             sd[i, : len(given)] = list(given.values())
+            sd[i, 1] = self.learned["shape_sd"][i]
             if next(iter(given), None) == "1":
                 sd[i, 0] = self.learned["offset_sd"][i]
         return sd

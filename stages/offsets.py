@@ -15,6 +15,7 @@ from stages.stage import columns
 
 Array = NDArray[np.float64]
 MIN_LOGS = 3  # fewer do not tell what differs from run to run
+LEAST = 1e-12
 SPAN_S = 30.0  # errors of longer are offsets
 BOUNDS_S = (1.0, 10.0)
 
@@ -39,10 +40,40 @@ def offset_sd(
         for i, r in enumerate(residuals):
             e, sigma = values[RESIDUAL + r], values[SIGMA + r]
             weight = np.where(np.isfinite(e), 1 / sigma**2, 0.0)
-            S0 = np.maximum(np.bincount(part, weight), 1e-12)
+            S0 = np.maximum(np.bincount(part, weight), LEAST)
             excess = (np.bincount(part, weight * np.nan_to_num(e)) / S0) ** 2 - samples / S0
             square[i] += max(float(np.average(excess, weights=S0)), 0.0)
     return np.asarray(np.sqrt(square / (len(blocks) + 1)))
+
+
+def shape_sd(
+    blocks: Sequence[Log],
+    residuals: Sequence[str],
+    shapes: Sequence[Array],
+    given: Array,
+    correlation_s: float,
+) -> Array:
+    """Standard deviation from log to log of how much of a shape h each residual holds, shape (residuals,).
+
+    With weights ``w = 1 / sigma^2``, a log's is ``c = sum w h e / sum w h^2``. ``shapes``: h by log, each
+    (rows, residuals). As in :func:`offset_sd`, what is ``given`` counts as one log, and alone with fewer than
+    ``MIN_LOGS`` different ones. A shape that no log shows has none.
+    """
+    few = len({block.name for block in blocks}) < MIN_LOGS
+    square, shown = given**2, np.zeros(len(residuals), dtype=bool)
+    for block, h in zip(blocks, shapes, strict=True):
+        values = columns(block)
+        samples = max(1.0, correlation_s / float(np.median(np.diff(values[TIME]))))
+        for i, r in enumerate(residuals):
+            e, sigma = values[RESIDUAL + r], values[SIGMA + r]
+            known = np.isfinite(e) & np.isfinite(h[:, i])
+            w, x = np.where(known, 1 / sigma**2, 0.0), np.where(known, h[:, i], 0.0)
+            mass = float((w * x**2).sum())
+            shown[i] |= mass > LEAST
+            if mass > LEAST and not few:
+                c = float((w * x * np.nan_to_num(e)).sum()) / mass
+                square[i] += max(c**2 - samples / mass, 0.0)
+    return np.asarray(np.where(shown, np.sqrt(square / (1 if few else len(blocks) + 1)), 0.0))
 
 
 def correlation_times(blocks: Sequence[Log], residuals: Sequence[str], given_s: float) -> Array:
@@ -66,7 +97,7 @@ def correlation_times(blocks: Sequence[Log], residuals: Sequence[str], given_s: 
         for i, r in enumerate(residuals):
             z = np.clip(values[RESIDUAL + r] / values[SIGMA + r], -5.0, 5.0)
             w = np.where(np.isfinite(z), np.nan_to_num(values.get(GATE, np.ones(time.size))), 0.0)
-            z = w * (np.nan_to_num(z) - np.average(np.nan_to_num(z), weights=np.maximum(w, 1e-12)))
+            z = w * (np.nan_to_num(z) - np.average(np.nan_to_num(z), weights=np.maximum(w, LEAST)))
             dt = float(np.median(np.diff(time)))
             sums[:, i] += dt * (np.bincount(part, z) ** 2).sum(), (z**2).sum()
-    return np.asarray(np.clip(sums[0] / np.maximum(sums[1], 1e-12), *BOUNDS_S))
+    return np.asarray(np.clip(sums[0] / np.maximum(sums[1], LEAST), *BOUNDS_S))

@@ -1,8 +1,8 @@
 """Pairs: two faults at once, where one alone leaves something unexplained.
 
 After the stage `isolate`, on the last ``rows`` usable samples of an alarm, whenever the alarm has three times
-as many as before. Two of ``faults`` are undone one after the other, the sensor's first, at a few sizes and on
-a few samples. Where no second fault adds to the likeliest one, that is all. Else Newton's steps on the
+as many as before. A sensor's fault and another of ``faults`` are undone one after the other at a few sizes
+and on a few samples. Where no second fault adds to the likeliest one, that is all. Else Newton's steps on the
 log-likelihood L (:mod:`stages.likelihood`) find both sizes. With d the standard deviation of a size, C the
 covariance of the two, and f* the best single fault,
 
@@ -100,11 +100,12 @@ class Pairs:
 
     @cached_property
     def pairs(self) -> dict[str, tuple[str, str]]:
-        """Two faults by their common name, a sensor's first."""
+        """Two faults by their common name, a sensor's first, as at least one is."""
         hypotheses = {f: h for f, h in self.isolate.hypotheses.items() if not self.faults or f in self.faults}
         out = {}
         for a, b in combinations(sorted(hypotheses, key=lambda f: (hypotheses[f].signal is None, f)), 2):
-            if hypotheses[a].undo.keys().isdisjoint(hypotheses[b].undo):
+            apart = hypotheses[a].undo.keys().isdisjoint(hypotheses[b].undo)
+            if apart and hypotheses[a].signal is not None:
                 out[PAIR.join(sorted((a, b)))] = (a, b)
         return out
 
@@ -121,7 +122,7 @@ class Pairs:
         gate = np.nan_to_num(values.get(GATE, np.ones(time.size)), nan=0.0)
         usable = on & (gate >= self.isolate.min_gate)
         dt = np.where(np.isfinite(dt), dt, self.isolate.correlation_s)
-        wanted = {TIME, GATE, *self.isolate.points.needs} & values.keys()
+        wanted = {TIME, GATE, *self.isolate.needs, *self.isolate.points.needs} & values.keys()
         samples = {c: values[c] for c in wanted} | {ELAPSED: time - state.first, STANDS_FOR: dt}
         found: dict[int, Mapping[str, Pair]] = {0: state.found}  # from a row on
         taken = 0
@@ -153,7 +154,7 @@ class Pairs:
     def _search(self, samples: dict[str, Array]) -> dict[str, Pair]:
         """The pairs that say more than any single fault, their sizes refined; ``height`` is by how much."""
         isolate = self.isolate
-        points, shapes = isolate.points, isolate.shapes(samples)
+        points, shapes = isolate.points, isolate.shapes(samples, isolate.points.residuals)
         weight = isolate.weight(samples[STANDS_FOR])
         window = Window(points, isolate.grid, samples, shapes, isolate.sd, weight, isolate.clip)
         few, drifts, names = window.thinned(FEW), len(isolate.drifts), [*isolate.hypotheses]

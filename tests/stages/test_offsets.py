@@ -8,7 +8,7 @@ import pytest
 from scipy.signal import lfilter
 
 from ingest.log import Group, Log
-from stages.offsets import correlation_times, offset_sd
+from stages.offsets import correlation_times, offset_sd, shape_sd
 from stages.stage import ANALYSIS
 
 
@@ -62,3 +62,18 @@ def test_the_correlation_time_of_a_first_order_process(phi: float, tau: float) -
 
     assert correlation_times([log(i) for i in range(8)], ["r"], 2.0)[0] == pytest.approx(tau, rel=0.15)
     assert correlation_times([log(0)], ["r"], 2.0)[0] == 2.0
+
+
+def test_how_much_of_a_shape_logs_hold_is_found_again() -> None:
+    rng, t = np.random.default_rng(6), np.arange(0, 1000, 0.5)
+    h = np.maximum(np.sin(t / 50), 0.0)
+
+    def log(i: int) -> Log:
+        e = rng.normal(0, 0.4) * h + rng.normal(0, 0.5, t.size)
+        frame = pl.DataFrame({"time": t, "residual.r": e, "sigma.r": np.full(t.size, 0.5)})
+        return Log(f"log{i}", {ANALYSIS: Group(ANALYSIS, frame)})
+
+    logs, shape = [log(i) for i in range(60)], [h[:, None]] * 60
+    assert shape_sd(logs, ["r"], shape, np.zeros(1), 0.5)[0] == pytest.approx(0.4, rel=0.3)
+    assert shape_sd(logs[:1], ["r"], shape[:1], np.array([0.1]), 0.5)[0] == 0.1
+    assert shape_sd(logs, ["r"], [0 * x for x in shape], np.array([0.1]), 0.5)[0] == 0.0
