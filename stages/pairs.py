@@ -69,7 +69,7 @@ class Pairs:
     version: ClassVar[str] = "2"
     faults: tuple[str, ...] = ()
     penalty: float = 10.0
-    model_error: float = 0.01
+    model_error: float = 0.03
     alike: tuple[tuple[str, ...], ...] = ()
     rows: int = 400
     before: tuple[Stage, ...] = ()
