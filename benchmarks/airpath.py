@@ -1,7 +1,7 @@
 """Air-path diagnosis on simulated drives.
 
     python -m benchmarks.airpath [single] [tolerance] [drift] [ends] [egr] [egr_without] [egr_tolerance]
-        [pairs] [--seeds N]
+        [pairs] [sensors] [--seeds N]
 
 Trained on one WLTC, calibrated on other cycles, tested on UDDS, US06 and HWFET with seeds from 9000, that
 nothing was tuned on. Every line says how many drives it counts.
@@ -14,7 +14,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cache
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 
@@ -53,6 +53,13 @@ LARGE = {
 }
 PAIRED = {"maf_gain": 0.06, "boost_pressure_gain": 0.04, "intake_pressure_gain": 0.04}  # either sign
 LEAKS = {"boost_leak": 8.0, "intake_leak": 8.0}
+SENSORS = {  # magnitudes, and of an offset its sign's size by sensor
+    "sensor_stuck": (0.0,),
+    "sensor_noise": (1.0,),
+    "sensor_offset": (-1.0, 1.0),
+}
+SCATTER = {"W_HFM": 0.1, "p_Bst": 0.02, "p_Int": 0.02, "T_Int": 0.01}  # relative
+OFFSET = {"W_HFM": 4.0, "p_Bst": 3.0, "p_Int": 3.0, "T_Int": 12.0}  # g/s, kPa, K
 EGR = {**LARGE, "intake_temperature_gain": (-0.03, 0.03), "egr_stuck_open": (15.0, 30.0, 60.0)}
 
 
@@ -68,6 +75,7 @@ class Case:
     fault: str = "none"  # two joined by "+", then also two magnitudes
     magnitude: float = 0.0
     second: float = 0.0
+    signal: str | None = None  # of the faults that any sensor can have
     ramp_s: float = 0.0
     end: float | None = None  # share of the drive
 
@@ -80,6 +88,7 @@ class Case:
 class Found:
     case: Case
     fault: str
+    signal: str | None
     p: float
     candidates: tuple[str, ...]
     delay_s: float
@@ -92,7 +101,7 @@ class Found:
 
     @property
     def right(self) -> bool:
-        return self.fault == self.case.fault
+        return self.fault == self.case.fault and self.case.signal in (None, self.signal)
 
     @property
     def included(self) -> bool:
@@ -132,7 +141,7 @@ def judged(case: Case) -> Found:
     onset = LENGTH_S[case.cycle] / 3
     end = None if case.end is None else case.end * LENGTH_S[case.cycle]
     faults = [
-        Fault(name=name, magnitude=size, onset_s=onset, ramp_s=case.ramp_s, end_s=end)
+        Fault(name=name, magnitude=size, onset_s=onset, ramp_s=case.ramp_s, end_s=end, signal=case.signal)
         for name, size in zip(case.fault.split(PAIR), (case.magnitude, case.second), strict=False)
         if name != "none"
     ]
@@ -146,6 +155,7 @@ def judged(case: Case) -> Found:
     return Found(
         case=case,
         fault=verdict.fault,
+        signal=verdict.signal,
         p=verdict.probability.get(verdict.fault, 0.0),
         candidates=tuple(verdict.set),
         delay_s=np.nan if verdict.detected_s is None else verdict.detected_s - onset,
@@ -177,6 +187,18 @@ def pairs(plan: Case, seeds: int) -> Iterator[Case]:
                 yield replace(plan, cycle=cycle, seed=seed, fault=name, magnitude=first[1], second=second[1])
 
 
+def sensors(plan: Case, seeds: int) -> Iterator[Case]:
+    """Every sensor failing in every other way, on every cycle."""
+    for cycle in LENGTH_S:
+        for i, (signal, (fault, magnitudes)) in enumerate(product(OFFSET, SENSORS.items())):
+            unit = {"sensor_noise": SCATTER, "sensor_offset": OFFSET}.get(fault, {}).get(signal, 1.0)
+            for k, m in enumerate(magnitudes):
+                for seed in range(FIRST_SEED + 40 * (2 * i + k), FIRST_SEED + 40 * (2 * i + k) + seeds):
+                    yield replace(
+                        plan, cycle=cycle, seed=seed, fault=fault, signal=signal, magnitude=m * unit
+                    )
+
+
 def report(title: str, found: Sequence[Found]) -> None:
     """False alarms, and by fault: detected, named right, in the set, confidently wrong, delay, size."""
     healthy = [f for f in found if f.case.fault == "none"]
@@ -189,9 +211,14 @@ def report(title: str, found: Sequence[Found]) -> None:
         "  fault                                         size  drives  found  right  in set  p>.95 wrong"
         "   delay s: median, 90 %      size"
     )
-    keys = sorted({(f.case.fault, f.case.magnitude) for f in faulty})
-    for key in keys:
-        _row(key[0], f"{key[1]:g}", [f for f in faulty if (f.case.fault, f.case.magnitude) == key])
+    keys = sorted({(f.case.fault, f.case.signal or "", f.case.magnitude) for f in faulty})
+    for fault, signal, size in keys:
+        some = [
+            f
+            for f in faulty
+            if (f.case.fault, f.case.signal or "", f.case.magnitude) == (fault, signal, size)
+        ]
+        _row(f"{fault} {signal}", f"{size:g}", some)
     _row("all", "", faulty)
 
 
@@ -223,13 +250,15 @@ def main() -> None:
         "egr_without": ("EGR active, no p_Exh", Case(egr=True, exhaust=False), EGR, args.seeds),
         "egr_tolerance": ("EGR active, tolerance level 1", Case(egr=True, tolerance=1), EGR, args.seeds),
         "pairs": ("two faults at once", Case(), {}, few),
+        "sensors": ("sensors that fail in other ways", Case(), {}, few),
     }
     if unknown := set(args.parts) - plans.keys():
         parser.error(f"no part {', '.join(unknown)}; there are {', '.join(plans)}")
     with ProcessPoolExecutor(args.workers) as pool:
         for part in args.parts or plans:
             title, plan, sizes, seeds = plans[part]
-            cases = pairs(plan, seeds) if part == "pairs" else drives(plan, sizes, seeds)
+            others = {"pairs": pairs, "sensors": sensors}
+            cases = others[part](plan, seeds) if part in others else drives(plan, sizes, seeds)
             found = list(pool.map(judged, cases, chunksize=4))
             report(title, found)
             if part == "ends":

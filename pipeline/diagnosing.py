@@ -18,14 +18,20 @@ from stages.hypotheses import Hypothesis
 from stages.isolate import Isolate
 from stages.monitor import INDICATOR, NOISE, SIGNALS
 from stages.narx import Narx
+from stages.pairs import Pairs
+from stages.rarer import Also
 from stages.relations import IN_DOMAIN, REGIME, Relations
 from stages.residuals import MODEL_SD, RESIDUAL, SIGMA, Z
 from stages.results import (
     DETECTABLE,
     DETECTION,
     EVIDENCE,
+    EXPECTED,
+    EXPECTED_SD,
+    OF,
     PAIR,
     PROBABILITY,
+    SENSOR,
     SIZE,
     SIZE_SD,
     STATISTIC,
@@ -36,7 +42,10 @@ from stages.results import (
 from stages.stage import ANALYSIS, transform
 from stages.verdict import Judge, Table
 
-KINDS = (RESIDUAL, INDICATOR, SIGMA, Z, MODEL_SD, EVIDENCE, PROBABILITY, SIZE, SIZE_SD, DETECTABLE)
+KINDS = (
+    RESIDUAL, INDICATOR, SIGMA, Z, MODEL_SD, EVIDENCE, PROBABILITY, SIZE, SIZE_SD, SENSOR, EXPECTED,
+    EXPECTED_SD, DETECTABLE,
+)  # fmt: skip
 
 
 def diagnose(
@@ -66,12 +75,19 @@ def corrected(log: Log, samples: pl.DataFrame, verdict: Verdict, detector: Detec
     none was isolated."""
     if verdict.signal is None:
         return None
-    return accommodate(log, samples, verdict.signal.split(PAIR)[0], supposed(detector.recipe))
+    return accommodate(
+        log, samples, verdict.signal.split(PAIR)[0], supposed(detector.recipe), rarer(detector.recipe)
+    )
 
 
 def supposed(recipe: Recipe) -> dict[str, Hypothesis]:
     """The hypotheses of a recipe's isolation, by fault."""
     return {f: h for s in recipe.stages if isinstance(s, Isolate) for f, h in s.hypotheses.items()}
+
+
+def rarer(recipe: Recipe) -> Also:
+    """The hypotheses of a recipe's rarer faults, by fault and signal."""
+    return {f: some for s in recipe.stages if isinstance(s, Pairs) for f, some in s.also.items()}
 
 
 def judge(log: Log, samples: Table, detector: Detector, quality: Mapping[str, Any]) -> Verdict:
@@ -80,6 +96,7 @@ def judge(log: Log, samples: Table, detector: Detector, quality: Mapping[str, An
     hypotheses = supposed(recipe)
     channels = {f: h.signal for f, h in hypotheses.items() if h.signal} | dict(recipe.channels)
     units = {f: h.unit for f, h in hypotheses.items()}
+    units |= {f + OF + s: h.unit for f, some in rarer(recipe).items() for s, h in some.items()}
     words = Judge(min_evidence_s=recipe.min_evidence_s, channels=channels, units=units)
     return words.verdict(log, samples, recipe=recipe.name, detector=detector.key, quality=quality)
 

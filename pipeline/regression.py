@@ -43,6 +43,8 @@ TOLERANCE = {
     "residuals": 1e-3,
     "detect": 1e-3,
     "isolate": 1e-2,
+    "pairs": 1e-2,
+    "sensors": 1e-2,
     "monitor": 1e-3,
 }
 LEAST = 1e-5  # of all other stages; values are stored with seven digits

@@ -5,6 +5,7 @@ from __future__ import annotations
 # The stages that a recipe can name with `use`; a user's own is "module:Class".
 STAGES = {
     "align": "stages.align:Align",
+    "roughness": "stages.roughness:Roughness",
     "smooth": "stages.smooth:Smooth",
     "regressors": "stages.regressors:Regressors",
     "gate": "stages.gate:Gate",
@@ -15,6 +16,7 @@ STAGES = {
     "residuals": "stages.residuals:Residuals",
     "isolate": "stages.isolate:Isolate",
     "pairs": "stages.pairs:Pairs",
+    "sensors": "stages.sensors:Sensors",
     "detect": "stages.detect:Detect",
     "signatures": "stages.signatures:Signatures",
     "denoise": "stages.denoise:Denoise",

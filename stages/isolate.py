@@ -305,7 +305,7 @@ class Isolate:
             ages=np.array(self.step_ages_s if self.rest else ()),
             threshold=self.learned["threshold"],
             sd=self.sd,
-            unknown_sd=self._unknown_sd,
+            unknown_sd=self.wide_sd,
             clip=self.clip,
             confirm=self.confirm_s,
             clear=self.clear_s,
@@ -328,7 +328,7 @@ class Isolate:
         return sd
 
     @cached_property
-    def _unknown_sd(self) -> Array:
+    def wide_sd(self) -> Array:
         """The same, with the first offset wide enough for anything."""
         learned = {
             r: s.learned["sigma"][i, -1]

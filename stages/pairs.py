@@ -32,7 +32,8 @@ from stages.gate import GATE
 from stages.hypotheses import ELAPSED
 from stages.isolate import Isolate
 from stages.pair_search import Pair, Window
-from stages.results import DETECTION, EVIDENCE, OF, PAIR, PROBABILITY, SIZE, SIZE_SD, UNKNOWN
+from stages.rarer import UNSEEN, Alone, Also, Rarer
+from stages.results import DETECTION, EVIDENCE, OF, PAIR, PROBABILITY, SENSOR, SIZE, SIZE_SD, UNKNOWN
 from stages.stage import ANALYSIS, Stage, add_columns, columns
 
 Array = NDArray[np.float64]
@@ -45,7 +46,7 @@ NOTHING = Pair(-np.inf, 0.0, (np.nan, np.nan), (np.nan, np.nan))
 @dataclass(frozen=True, eq=False)
 class PairsState:
     """The alarm's last samples looked at, how many there were, when to look again, the time of the log's
-    first row, of the last, and of the last one looked at, and what was found."""
+    first row, of the last, and of the last one looked at, and what was found: pairs, and the rarer faults."""
 
     samples: Mapping[str, Array] = field(default_factory=dict)
     count: int = 0
@@ -53,6 +54,7 @@ class PairsState:
     first: float = np.nan
     time: float = np.nan
     found: Mapping[str, Pair] = field(default_factory=dict)
+    rare: Mapping[str, Alone] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,18 +62,21 @@ class Pairs:
     """``faults``: those that can occur together, none for all of the stage before; ``penalty``: how much
     likelier than a single fault a pair must be (natural logarithm); ``model_error``: the part of a pair's
     evidence over a single fault by which evidence may be wrong; ``alike``: faults any two of which look the
-    same, so that their pairs share their probability; ``rows``: samples to look at.
+    same, so that their pairs share their probability; ``rows``: samples to look at; ``also``: rarer faults by
+    the sensor that can have them (:mod:`stages.rarer`), with ``also_penalty``.
 
     Raises:
         RecipeError: the stage before is not `isolate`, or has no such fault.
     """
 
-    version: ClassVar[str] = "2"
+    version: ClassVar[str] = "3"
     faults: tuple[str, ...] = ()
     penalty: float = 10.0
     model_error: float = 0.03
     alike: tuple[tuple[str, ...], ...] = ()
     rows: int = 400
+    also: Also = field(default_factory=dict)
+    also_penalty: float = 3.0
     before: tuple[Stage, ...] = ()
 
     @property
@@ -80,9 +85,9 @@ class Pairs:
 
     @property
     def adds(self) -> set[str]:
-        return (
-            {kind + name for name in self.pairs for kind in (PROBABILITY, EVIDENCE)} if self.before else set()
-        )
+        names = [*self.also, *(self.pairs if self.before else ())]
+        sensors = {SENSOR + f + OF + signal for f, some in self.also.items() for signal in some}
+        return sensors | {kind + name for name in names for kind in (PROBABILITY, EVIDENCE)}
 
     def connect(self, before: Sequence[Stage], /) -> Self:
         return replace(self, before=tuple(before))
@@ -109,37 +114,49 @@ class Pairs:
                 out[PAIR.join(sorted((a, b)))] = (a, b)
         return out
 
+    @cached_property
+    def rarer(self) -> Rarer | None:
+        """The rarer faults, if there are any."""
+        return Rarer.of(self.also, self.isolate) if self.also else None
+
     def start(self) -> PairsState:
         return PairsState()
 
     def step(self, state: PairsState, block: Log, /) -> tuple[PairsState, Log]:
         time, values = block.groups[ANALYSIS].time, columns(block)
         if not time.size:
-            return state, add_columns(block, self._columns(values, {}))
+            return state, add_columns(block, self._columns(values, {}, {}))
         state = replace(state, first=state.first if np.isfinite(state.first) else float(time[0]))
         dt = np.diff(time, prepend=state.time)
         on = values[DETECTION] > 0
         gate = np.nan_to_num(values.get(GATE, np.ones(time.size)), nan=0.0)
         usable = on & (gate >= self.isolate.min_gate)
         dt = np.where(np.isfinite(dt), dt, self.isolate.correlation_s)
-        wanted = {TIME, GATE, *self.isolate.needs, *self.isolate.points.needs} & values.keys()
+        rarer = self.rarer.points.needs if self.rarer else set()
+        wanted = {TIME, GATE, *rarer, *self.isolate.needs, *self.isolate.points.needs} & values.keys()
         samples = {c: values[c] for c in wanted} | {ELAPSED: time - state.first, STANDS_FOR: dt}
         found: dict[int, Mapping[str, Pair]] = {0: state.found}  # from a row on
+        rare: dict[int, Mapping[str, Alone]] = {0: state.rare}
         taken = 0
         for k in np.flatnonzero(on | np.append(True, on[:-1])).tolist():
             if not on[k]:
                 state, taken, found[k] = PairsState(first=state.first), k + 1, {}
+                rare[k] = {}
             elif usable[k]:
                 state = replace(state, count=state.count + 1)
                 if state.count >= state.due:
                     kept = self._kept(state, samples, usable, slice(taken, k + 1))
                     taken = k + 1
                     due = int(np.ceil(GROWTH * state.count))
-                    state = replace(state, samples=kept, due=due, found=self._search(kept))
-                    found[k] = state.found
+                    window = self._window(kept)
+                    state = replace(state, samples=kept, due=due, found=self._search(window))
+                    if self.rarer:
+                        known = self.rarer.compared(window, self.isolate, self.also_penalty)
+                        state = replace(state, rare=known)
+                    found[k], rare[k] = state.found, state.rare
         kept = self._kept(state, samples, usable, slice(taken, time.size))
         state = replace(state, samples=kept, time=float(time[-1]))
-        return state, add_columns(block, self._columns(values, found))
+        return state, add_columns(block, self._columns(values, found, rare))
 
     def _kept(
         self, state: PairsState, samples: Mapping[str, Array], usable: NDArray[np.bool_], rows: slice
@@ -151,12 +168,15 @@ class Pairs:
             c: np.concatenate([old[c], x])[-self.rows :] if old else x[-self.rows :] for c, x in new.items()
         }
 
-    def _search(self, samples: dict[str, Array]) -> dict[str, Pair]:
-        """The pairs that say more than any single fault, their sizes refined; ``height`` is by how much."""
+    def _window(self, samples: dict[str, Array]) -> Window:
         isolate = self.isolate
         points, shapes = isolate.points, isolate.shapes(samples, isolate.points.residuals)
         weight = isolate.weight(samples[STANDS_FOR])
-        window = Window(points, isolate.grid, samples, shapes, isolate.sd, weight, isolate.clip)
+        return Window(points, isolate.grid, samples, shapes, isolate.sd, weight, isolate.clip)
+
+    def _search(self, window: Window) -> dict[str, Pair]:
+        """The pairs that say more than any single fault, their sizes refined; ``height`` is by how much."""
+        isolate = self.isolate
         few, drifts, names = window.thinned(FEW), len(isolate.drifts), [*isolate.hypotheses]
         place = {f: drifts + k for k, f in enumerate(names)}
         single = {f: size for f, (size, _) in zip(names, few.singles, strict=True)}
@@ -184,7 +204,10 @@ class Pairs:
         }
 
     def _columns(
-        self, values: Mapping[str, Array], found: Mapping[int, Mapping[str, Pair]]
+        self,
+        values: Mapping[str, Array],
+        found: Mapping[int, Mapping[str, Pair]],
+        rare: Mapping[int, Mapping[str, Alone]],
     ) -> dict[str, NDArray[Any]]:
         """Evidence, probabilities and sizes of all pairs, and the probabilities of all else among them."""
         temper, singles = self.isolate.temper, [*self.isolate.hypotheses, UNKNOWN]
@@ -201,6 +224,17 @@ class Pairs:
                 named, x = pair + OF + fault, np.array([(x.sizes[k], x.sds[k]) for x in of]).reshape(-1, 2)
                 for c, kind in enumerate((SIZE, SIZE_SD)):
                     added[kind + named] = np.repeat(x[:, c], lasting).astype(np.float32)
+        most = np.maximum(best, evidence[UNKNOWN])
+        for fault, some in self.also.items():
+            for name in (fault + OF + signal for signal in some):
+                alone = [known.get(name, UNSEEN) for known in rare.values()]
+                height, size, sd = (
+                    np.repeat([getattr(x, of) for x in alone], lasting) for of in ("height", "size", "sd")
+                )
+                evidence[name] = most + height
+                added[SENSOR + name] = (most + np.maximum(height, -self.also_penalty)).astype(np.float32)
+                added |= {SIZE + name: size.astype(np.float32), SIZE_SD + name: sd.astype(np.float32)}
+            added[EVIDENCE + fault] = np.max([added[SENSOR + fault + OF + s] for s in some], axis=0)
         on = values[DETECTION] > 0
         x = np.array([*evidence.values()])
         x *= temper / (1.0 + self.model_error * np.maximum(x[len(singles) :].max(axis=0) - best, 0.0))
@@ -209,7 +243,10 @@ class Pairs:
         for group in self.alike:
             same = [i for i, f in enumerate(evidence) if {*f.split(PAIR)} <= {*group} and PAIR in f]
             p[same] = p[same].mean(axis=0)
-        return added | {PROBABILITY + f: row.astype(np.float32) for f, row in zip(evidence, p, strict=True)}
+        share = dict(zip(evidence, p, strict=True))
+        for fault, some in self.also.items():
+            share[fault] = np.sum([share.pop(fault + OF + s) for s in some], axis=0)
+        return added | {PROBABILITY + f: row.astype(np.float32) for f, row in share.items()}
 
 
 def _most(starts: Mapping[str, tuple[float, tuple[float, float]]]) -> float:

@@ -16,6 +16,8 @@ from ingest.log import Event, Group, Log
 DETECTION, EVIDENCE, PROBABILITY, UNKNOWN = "detection", "evidence.", "p.", "unknown"
 PAIR, OF = "+", "."  # between the names of two faults; between a pair and one of its two
 STATISTIC, SIZE, SIZE_SD, DETECTABLE = "statistic", "size.", "size_sd.", "detectable."
+SENSOR = "sensor."  # of a fault that several sensors can have, and one of them: how evident it is
+EXPECTED, EXPECTED_SD = "expected.", "expected_sd."  # of a sensor, what the others say that it should read
 
 
 @dataclass(frozen=True, kw_only=True)

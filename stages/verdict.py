@@ -26,6 +26,7 @@ from stages.results import (
     OF,
     PAIR,
     PROBABILITY,
+    SENSOR,
     SIZE,
     SIZE_SD,
     STATISTIC,
@@ -95,7 +96,7 @@ class Judge:
             probability=probability,
             onset_s=event.t_start,
             detected_s=float(samples[TIME][episodes[chosen][0]]),
-            magnitude=self._magnitude(samples, event.kind, row),
+            magnitude=self._magnitude(samples, event.kind, row, _sensor(samples, event.kind, row) or ""),
             events=tuple(events),
         )
 
@@ -120,11 +121,14 @@ class Judge:
         probability = self._probability(samples, row)
         fault = max(probability, key=lambda f: probability[f])
         ended = last < samples.height - 1
+        channel = _sensor(samples, fault, row)
         return Event(
-            t_start=onset(samples, first),
+            t_start=onset(samples, first, fault, channel),
             t_end=float(samples[TIME][last]) if ended else None,
             kind=fault,
-            channel=PAIR.join(self.channels[f] for f in fault.split(PAIR) if f in self.channels) or None,
+            channel=channel
+            or PAIR.join(self.channels[f] for f in fault.split(PAIR) if f in self.channels)
+            or None,
             confidence=probability[fault],
             source="dynoscope",
         )
@@ -138,12 +142,21 @@ class Judge:
         value, sd = there[SIZE + column][0], there[SIZE_SD + column][0]
         if value is None or np.isnan(value):  # of a pair that only looks like the one that was found
             return None
-        return Magnitude(value=float(value), sd=sd, unit=self.units.get(of or fault, "1"))
+        return Magnitude(
+            value=float(value), sd=sd, unit=self.units.get(of or fault, self.units.get(column, "1"))
+        )
 
     def _magnitudes(self, samples: Table, pair: str, row: int) -> dict[str, Magnitude]:
         """The sizes of two faults at once."""
         found = {f: self._magnitude(samples, pair, row, f) for f in pair.split(PAIR) if f != pair}
         return {f: size for f, size in found.items() if size is not None}
+
+
+def _sensor(samples: Table, fault: str, row: int) -> str | None:
+    """The sensor that a fault which several can have is most evident of at a row; None for other faults."""
+    names = [c for c in samples.columns if c.startswith(SENSOR + fault + OF)]
+    there = samples.slice(row, 1)
+    return max(names, key=lambda c: there[c][0]).removeprefix(SENSOR + fault + OF) if names else None
 
 
 def _strongest(samples: Table, first: int, last: int) -> tuple[float, int]:
@@ -171,15 +184,21 @@ def detectable(samples: Table) -> dict[str, float | None] | None:
     return found or None
 
 
-def onset(samples: Table, first: int) -> float:
-    """When the fault began that was detected at row ``first``, in s on the log's clock.
+def onset(samples: Table, first: int, fault: str = "", sensor: str | None = None) -> float:
+    """When the ``fault`` (of ``sensor``) began that was detected at row ``first``, in s on the log's clock.
 
     The change point k that maximises the likelihood of a shift of the means of residuals or indicators from
     row k on, with e = z sigma their distance from the healthy value, ``sum_r (sum_{i >= k} e_i / sigma_i^2)^2
     / (2 sum_{i >= k} 1 / sigma_i^2)``, over the last 600 s before the detection; samples up to 30 s after it
-    count as evidence.
+    count as evidence. A sensor that does not move or scatters began to when the evidence for it did, where
+    that is what raised the alarm.
     """
     time = samples[TIME].to_numpy()
+    evident = SENSOR + fault + OF + (sensor or "")
+    if evident in samples.columns and SIZE + fault + OF + (sensor or "") not in samples.columns:
+        there = _array(samples.slice(0, first + 1), evident) > 0
+        if there[-1]:
+            return float(time[np.flatnonzero(~there)[-1] + 1 if not there.all() else 0])
     a = int(np.searchsorted(time, time[first] - ONSET_BACK_S))
     b = int(np.searchsorted(time, time[first] + ONSET_AFTER_S, side="right"))
     part = samples.slice(a, b - a)

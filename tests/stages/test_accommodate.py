@@ -64,3 +64,53 @@ def test_without_samples_nothing_is_corrected() -> None:
     group = accommodate(LOG, samples("gain").clear(), "p", HYPOTHESES)
     assert group is not None
     assert group.frame["p.corrected"].equals(group.frame["p"])
+
+
+OFFSET = {
+    "sensor_offset": {"p": Hypothesis(undo={"p": "p - theta"}, sizes=(-5.0, 5.0), unit="kPa", signal="p")}
+}
+
+
+def several(fault: str, evident: str, at: float = 40.0) -> pl.DataFrame:
+    """A diagnosis that names a fault that ``p`` or ``T`` can have, and says what ``p`` should read."""
+    t = np.arange(0, 100, 0.5)
+    on = (t >= at).astype(float)
+    return pl.DataFrame(
+        {
+            "time": t,
+            "detection": on.astype(np.int8),
+            f"p.{fault}": on,
+            **{f"sensor.{fault}.{s}": (30.0 if s == evident else 1.0) * on for s in ("p", "T")},
+            "size.sensor_offset.p": np.full(t.size, 4.0),
+            "size_sd.sensor_offset.p": np.full(t.size, 0.5),
+            "expected.p": 100 + 10 * np.sin(t),
+            "expected_sd.p": np.full(t.size, 0.3),
+        }
+    )
+
+
+def test_an_offset_is_taken_off() -> None:
+    group = accommodate(LOG, several("sensor_offset", "p"), "p", HYPOTHESES, OFFSET)
+    assert group is not None
+    raw, corrected, sd = (group.frame[c].to_numpy() for c in ("p", "p.corrected", "p.corrected_sd"))
+    late = TIME >= 40
+    np.testing.assert_array_equal(corrected[~late], raw[~late])
+    np.testing.assert_allclose(corrected[late], raw[late] - 4.0)
+    np.testing.assert_allclose(sd[late], 0.5)
+
+
+def test_a_stuck_sensor_reads_what_the_others_say() -> None:
+    group = accommodate(LOG, several("sensor_stuck", "p"), "p", HYPOTHESES, OFFSET)
+    assert group is not None
+    raw, corrected, sd = (group.frame[c].to_numpy() for c in ("p", "p.corrected", "p.corrected_sd"))
+    late = TIME >= 40
+    np.testing.assert_array_equal(corrected[~late], raw[~late])
+    held = TIME[late] - np.floor(TIME[late] / 0.5 + 1e-9) * 0.5
+    np.testing.assert_allclose(corrected[late], 100 + 10 * np.sin(TIME[late] - held))
+    np.testing.assert_allclose(sd[late], 0.3)
+
+
+def test_what_another_sensor_has_changes_nothing() -> None:
+    group = accommodate(LOG, several("sensor_stuck", "T"), "p", HYPOTHESES, OFFSET)
+    assert group is not None
+    assert (group.frame["p"] == group.frame["p.corrected"]).all()

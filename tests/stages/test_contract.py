@@ -27,13 +27,16 @@ from stages.pairs import Pairs
 from stages.regressors import Regressors
 from stages.relations import Relation, Relations
 from stages.residuals import Residuals
+from stages.roughness import Roughness
 from stages.select_inputs import SelectInputs, Target
+from stages.sensors import Sensors
 from stages.signatures import Signatures
 from stages.smooth import Smooth
 from stages.stage import ANALYSIS, Learner, RowWise, Stage, columns, connected, cut, transform
 
 CHAIN: dict[str, Stage] = {
     "align": Align(signals=("y", "a"), optional=("b", "absent")),
+    "roughness": Roughness(signals=("y", "a")),
     "smooth": Smooth(tau_s={"y": 0.3, "a": "0.2 + 0.1 * b"}),
     "regressors": Regressors(columns={"ab": "a * b", "two": "2"}),
     "gate": Gate(rate_per_s={"b": 0.5}),
@@ -52,7 +55,10 @@ CHAIN: dict[str, Stage] = {
         offsets={"r": {"1": 0.01, "a": 0.01}},
         memories_s=(5.0, 20.0),
     ),
-    "pairs": Pairs(),
+    "pairs": Pairs(
+        also={"sensor_offset": {"a": Hypothesis(undo={"a": "a - theta"}, sizes=(-0.2, -0.1, 0.1, 0.2))}}
+    ),
+    "sensors": Sensors(signals=("y", "a"), where="b + 1", expected={"y": "f"}, tau_s=2.0, confirm_s=0.5),
     "detect": Detect(memories_s=(5.0, 20.0)),
     "signatures": Signatures(table={"high": {"r": "+", "q": "x"}, "low": {"r": "-", "q": "x"}}),
 }

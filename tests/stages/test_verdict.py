@@ -94,3 +94,33 @@ def test_two_faults_have_two_sizes_where_they_are_known() -> None:
     found = verdict.statistics["magnitudes"]
     assert [*found] == ["gain"]
     assert found["gain"]["value"] == pytest.approx(0.05)
+
+
+def scattering() -> pl.DataFrame:
+    """Evident from row 590 on, of ``T_Int`` most, in alarm from row 600 on."""
+    n = np.arange(1200)
+    frame = samples(alarms=((600, 1200),))
+    return frame.with_columns(
+        pl.Series("p.sensor_noise", np.where(n >= 600, 1.0, 0.0)),
+        pl.Series("evidence.sensor_noise", np.where(n >= 590, 60.0, 0.0)),
+        pl.Series("sensor.sensor_noise.W_HFM", np.where(n >= 590, 1.0, 0.0)),
+        pl.Series("sensor.sensor_noise.T_Int", np.where(n >= 590, 40.0, 0.0)),
+        pl.lit(0.0).alias("p.gain"),
+    )
+
+
+def test_of_a_fault_that_several_sensors_can_have_the_most_evident_one_is_told() -> None:
+    verdict = verdict_of(scattering())
+    assert (verdict.fault, verdict.signal, verdict.set) == (
+        "sensor_noise",
+        "T_Int",
+        ("sensor_noise", "unknown"),
+    )
+    assert verdict.magnitude is None
+    assert verdict.onset_s == 590 * RATE  # when it began to be evident, not when residuals shifted
+    sized = scattering().with_columns(
+        pl.lit(12.0).alias("size.sensor_noise.T_Int"), pl.lit(0.5).alias("size_sd.sensor_noise.T_Int")
+    )
+    size = verdict_of(sized).magnitude
+    assert size is not None
+    assert (size.value, size.sd) == (12.0, 0.5)

@@ -92,7 +92,7 @@ def test_differences_begin_at_the_stage_that_changed(own: Path, monkeypatch: pyt
     monkeypatch.setattr(regression, "fit", other)
     found = check(own)
     assert (found[0].stage, found[0].signal) == ("relations", "f_dp")
-    assert {d.stage for d in found} <= {"relations", "residuals", "isolate", "verdict"}
+    assert {d.stage for d in found} <= {"relations", "residuals", "isolate", "pairs", "sensors", "verdict"}
     assert "residual.r_cyl" not in {d.signal for d in found}
 
 

@@ -1,0 +1,81 @@
+"""Rarer faults: compared with the usual ones in an alarm's window only, as each is likely to be mistaken.
+
+An offset of a sensor looks much like a gain where the operating point moves little. It is undone like any
+other hypothesis (:mod:`stages.hypotheses`), and its height is the Laplace approximation of its marginal
+log-likelihood, less that of the best single fault or of `unknown`, and less a ``penalty``, as it is the rarer
+one:
+
+    height = L(peak) + ln min(1, sqrt(2 pi) d / range of sizes) - max_f L_f - penalty,
+
+d the standard deviation of the size, all on samples that some hypothesis brings to where the relations were
+trained. Named ``<fault>.<signal>``, as several sensors can have it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from stages.hypotheses import Hypothesis, Points
+from stages.isolate import Isolate
+from stages.likelihood import peak
+from stages.pair_search import Window
+from stages.relations import familiarity
+from stages.results import OF
+from stages.size_grid import Grid, refined_grid
+
+Also = Mapping[str, Mapping[str, Hypothesis]]  # by fault and signal
+
+
+@dataclass(frozen=True)
+class Alone:
+    """A fault alone: how evident it is beside what is usual, its size and the size's standard deviation."""
+
+    height: float
+    size: float
+    sd: float
+
+
+UNSEEN = Alone(-np.inf, np.nan, np.nan)
+
+
+@dataclass(frozen=True, eq=False)
+class Rarer:
+    """The hypotheses ``names``, all their sizes to compute, and the refined grid of these."""
+
+    names: tuple[str, ...]
+    points: Points
+    grid: Grid
+
+    @classmethod
+    def of(cls, also: Also, isolate: Isolate) -> Rarer:
+        """Those of ``also``, judged by the residuals of ``isolate``."""
+        named = {fault + OF + signal: h for fault, some in also.items() for signal, h in some.items()}
+        points = Points([*named.values()], isolate.points.chain, isolate.points.residuals)
+        grid = refined_grid(points.hypotheses, points.sizes, 0, isolate.between)
+        return cls(tuple(named), points, grid)
+
+    def compared(self, usual: Window, isolate: Isolate, penalty: float) -> dict[str, Alone]:
+        """How each stands beside the hypotheses of the window, which are those of ``isolate``."""
+        window = replace(usual, points=self.points, grid=self.grid)
+        computed = window.computed
+        known = familiarity(np.minimum(usual.computed[3], computed[3]), isolate.known_to)
+        usual = replace(usual, weight=usual.weight * known)
+        wide = replace(usual, sd=isolate.wide_sd, clip=np.inf)
+        e, sigma, doubt = (x[:, :, :1] for x in computed[:3])
+        unknown = wide.likelihood(e, sigma, doubt)[0] - isolate.unknown_penalty
+        best = max(unknown, *(height for _, height in usual.singles))
+        grid, share = self.grid, self.grid.share
+        e, sigma, doubt = (
+            (1.0 - share) * x[:, :, grid.left] + share * x[:, :, grid.right] for x in computed[:3]
+        )
+        L = replace(window, weight=usual.weight).likelihood(e, sigma, doubt)
+        found = {}
+        for k, name in enumerate(self.names):
+            x = grid.sizes[k, : grid.counts[k]]
+            size, height, sd = peak(x, L[grid.points[k, : grid.counts[k]]])
+            height += float(np.log(min(1.0, np.sqrt(2 * np.pi) * sd / (x[-1] - x[0]))))
+            found[name] = Alone(height - best - penalty, size, sd if np.isfinite(sd) else np.nan)
+        return found
