@@ -184,7 +184,7 @@ def batch(folder: Path, out: Path) -> list[Path]:
         pictures.append(out / f"report_{theme}.png")
         command = [
             browser, "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars",
-            "--window-size=1250,1900", f"--blink-settings=preferredColorScheme={value}",
+            "--window-size=1400,1900", f"--blink-settings=preferredColorScheme={value}",
             f"--screenshot={pictures[-1].resolve()}", page.resolve().as_uri(),
         ]  # fmt: skip
         subprocess.run(command, check=True, capture_output=True, timeout=120)

@@ -13,8 +13,8 @@ from viz.lanes import FAULT_LANES, INJECTED, REGIME
 from viz.layers import residual_layers
 from viz.model import MODEL
 from viz.monitoring import ERRORS, POLES, READINGS, Monitored
-from viz.operating_map import SOM
-from viz.plane import BACKGROUND, plane_view
+from viz.operating_map import SOM, som_bounds
+from viz.plane import plane_view
 from viz.residuals import Residual
 from viz.selection import selection_tabs
 from viz.send import TIMELINE
@@ -146,11 +146,8 @@ def _residuals(residuals: Sequence[Residual], lanes: Sequence[str], diagnosis: D
 
 def _regimes(plane: OperatingMap) -> rrb.Container:
     low, high = (f"{f(plane.spread):.3g}" if plane.spread.size else "–" for f in (min, max))
-    som = rrb.Spatial2DView(
-        origin=SOM,
-        name=f"Self-organising map · size: training samples · colour: spread, {low} dark to {high} bright",
-        background=rrb.Background(color=BACKGROUND),
-    )
+    title = f"Self-organising map · size: training samples · colour: spread, {low} dark to {high} bright"
+    som = plane_view(SOM, title, som_bounds(plane))
     tables = rrb.TextDocumentView(origin="/regimes", name="Residuals by regime")
     return rrb.Horizontal(map_view(), rrb.Vertical(som, tables, row_shares=[4, 5]), name="Regimes")
 

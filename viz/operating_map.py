@@ -10,7 +10,7 @@ from stages.results import Diagnosis, OperatingMap
 from viz import send
 from viz.colours import DIM, GREY, WHITE, of_index, ramp
 from viz.lanes import regime_name
-from viz.plane import Axes, frame, text
+from viz.plane import FRAMED, Axes, Range, frame, text
 from viz.series import Array
 
 SAMPLES = 6000
@@ -114,7 +114,23 @@ def _log_som(rec: rr.RecordingStream, plane: OperatingMap) -> None:
     """The map as a graph: size visits, colour the spread of the training residuals."""
     if not len(plane.nodes):
         return
-    at = 10.0 * lattice(plane.edges, len(plane.nodes))
+    at = _places(plane)
     _log_nodes(rec, f"{SOM}/regions", at, plane, ramp(plane.spread), most=22.0)
     known = [f"{regime_name(i)}: {visits:.0f}" for i, visits in enumerate(plane.visits)]
     text(rec, f"{SOM}/names", at + np.array([0.0, 2.2]), known, WHITE)
+
+
+def _places(plane: OperatingMap) -> Array:
+    """Where the nodes of the graph stand, (nodes, 2)."""
+    return 10.0 * lattice(plane.edges, len(plane.nodes))
+
+
+def som_bounds(plane: OperatingMap) -> tuple[Range, Range]:
+    """What the graph needs to be seen whole, with its discs and names: limits across and downwards."""
+    if not len(plane.nodes):
+        return FRAMED
+    at = _places(plane)
+    low, high = at.min(axis=0), at.max(axis=0)
+    margin = 0.16 * max(*(high - low), 10.0)
+    across, down = ((float(a - margin), float(b + margin)) for a, b in zip(low, high, strict=True))
+    return across, down

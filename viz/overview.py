@@ -24,7 +24,7 @@ from viz.timeline import write_recording
 from viz.views import WholeRange, lane_view
 from viz.wear import Worn, log_wear
 
-PER_PAGE = 22
+PER_PAGE = 24
 SAMPLES = ("time", "detection")
 """Columns needed of a log's samples, besides its probabilities."""
 Row = Mapping[str, Any]

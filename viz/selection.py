@@ -21,7 +21,9 @@ CORRELATION, COURSE, LANDSCAPE, RESIDUAL, SPECTRUM = (
 )  # fmt: skip
 FIELD = 8
 """Width of a field of the correlation map."""
-BACKGROUND, GROUND = (16, 17, 20), (34.0, 37.0, 41.0)
+NAMED = 16
+"""Candidates and output that have room for a name each."""
+GROUND = (34.0, 37.0, 41.0)
 
 
 def log_selections(rec: rr.RecordingStream, chosen: Sequence[Chosen]) -> None:
@@ -73,7 +75,7 @@ def _path(one: Chosen, picture: str) -> str:
 
 def _views(one: Chosen) -> list[rrb.View]:
     size = FIELD * (len(one.candidates) + 1)
-    plane, wide = ((-12.0, FRAMED[0][1]), FRAMED[1]), (-1.2 * FIELD, size + 3.0 * FIELD)
+    plane, wide = ((-12.0, FRAMED[0][1]), FRAMED[1]), (-1.2 * FIELD, size + 2.0 * _beside(one))
     bounds = {CORRELATION: (wide, wide)}
     shown = titles(one).items()
     return [plane_view(_path(one, picture), title, bounds.get(picture, plane)) for picture, title in shown]
@@ -88,11 +90,17 @@ def _log_correlation(rec: rr.RecordingStream, path: str, one: Chosen) -> None:
     fields[:, ::FIELD], fields[::FIELD] = 16, 16
     rec.log(f"{path}/fields", rr.Image(fields), static=True)
     names = (*one.candidates, one.output)
-    for colour_of, mine in ((WHITE, True), (GREY, False)):
+    crowded = len(names) > NAMED  # then the selected ones alone are named
+    for colour_of, mine in ((WHITE, True), (GREY, False))[: 1 if crowded else 2]:
         rows = [i for i, n in enumerate(names) if (n in one.taken or i == len(names) - 1) == mine]
         if rows:
-            at = [[(len(names) + 1.2) * FIELD, (i + 0.5) * FIELD - 1.5] for i in rows]
+            at = [[len(names) * FIELD + _beside(one), (i + 0.5) * FIELD - 1.5] for i in rows]
             text(rec, f"{path}/names/{mine}", at, [names[i] for i in rows], colour_of)
+
+
+def _beside(one: Chosen) -> float:
+    """How far from the fields their names have their middle: as far as names are wide, whatever the scale."""
+    return FIELD * max(1.5, 0.14 * len(one.candidates))
 
 
 def _log_course(rec: rr.RecordingStream, path: str, one: Chosen) -> None:

@@ -231,7 +231,7 @@ def regime_table(diagnosis: Diagnosis) -> str:
             z.filter(~pl.col("alarm")).mean().alias("z, no alarm"),
             z.filter(pl.col("alarm")).mean().alias("z in alarm"),
         )
-        rows = rows.sort("regime", nulls_last=True).head(REGIME_ROWS)
+        rows = rows.filter(pl.col("samples") > 0).sort("regime", nulls_last=True).head(REGIME_ROWS)
         body = [
             [regime_name(-1 if r is None else r) or "–", *map(_number, rest)] for r, *rest in rows.iter_rows()
         ]

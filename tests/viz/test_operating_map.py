@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import rerun as rr
 
-from viz.operating_map import lattice, node_sizes
+from stages.results import Diagnosis
+from viz.operating_map import lattice, node_sizes, som_bounds
 from viz.plane import HEIGHT, WIDTH, Axes
 from viz.send import segments
 
@@ -80,3 +81,14 @@ def test_segments_are_what_rerun_makes_of_strips() -> None:
     expected = rr.components.LineStrip2DBatch(strips).as_arrow_array()
     assert segments(points).equals(expected)
     assert len(segments(points[:1])) == 0
+
+
+def test_the_graph_is_seen_whole(diagnosis: Diagnosis) -> None:
+    plane = diagnosis.operating_map
+    assert plane is not None
+    (left, right), (top, bottom) = som_bounds(plane)
+    at = 10.0 * lattice(plane.edges, len(plane.nodes))
+    assert left < at[:, 0].min() - 4.0
+    assert at[:, 0].max() + 4.0 < right
+    assert top < at[:, 1].min() - 4.0
+    assert at[:, 1].max() + 4.0 < bottom

@@ -84,3 +84,14 @@ def test_a_plot_of_its_own(tmp_path: Path) -> None:
     text = (tmp_path / "one.svg").read_text()
     assert "Correlation of the candidates" in text
     assert "of the best 3 genes" in text
+
+
+def test_of_many_candidates_the_selected_ones_are_named(tmp_path: Path) -> None:
+    count = 20
+    many = replace(
+        ONE, candidates=tuple(f"u(t-{i})" for i in range(count)), genes=((1, 2),), scores=(-30.0,),
+        correlation=tuple(map(tuple, np.eye(count + 1).tolist())),
+    )  # fmt: skip
+    write_selections([many], "x", tmp_path / "s.rrd")
+    told = [v for k, v in static(tmp_path / "s.rrd").items() if "/names/" in k and k.endswith(":labels")]
+    assert told == [["u(t-1)", "u(t-2)", "y"]]
