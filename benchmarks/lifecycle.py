@@ -36,8 +36,9 @@ from pipeline.fitting import fit, learn, sections, suspicious
 from pipeline.recipe import Recipe, build_recipe, load_recipe
 from pipeline.retraining import challenge, continue_champion
 from pipeline.template import bound, common_signals
-from stages.stage import transform
+from stages.stage import Stage, transform
 
+Sections = tuple[Sequence[Stage], Sequence[Stage], Sequence[Stage]]
 SEED = 60000
 CYCLES = ("wltc_3b", "udds", "ftp75", "us06", "hwfet")
 FAULTS = (
@@ -94,21 +95,26 @@ def poison(seeds: int) -> None:
     counts = {"sets": 0, "caught": 0, "exact": 0, "clean named": 0, "clean": 0}
     recipe = load_recipe("diesel_airpath")
     flagged = 0
+    logs_found: dict[str, list[int]] = {name: [0, 0] for name, _ in FAULTS}
     for s in range(seeds):
         base = SEED + 1000 + 20 * s
-        healthy = [drive(CYCLES[i % 5], base + i, tolerance=2) for i in range(20)]
-        flagged += bool(guarded(recipe, healthy))
+        logs = [drive(CYCLES[i % 5], base + i, tolerance=2) for i in range(20)]
+        sides = sections(bound(recipe, common_signals(logs)).stages)
+        healthy = [transform(sides[0], log) for log in logs]
+        flagged += bool(guarded(sides, healthy))
         rng = np.random.default_rng(base)
         for fault in FAULTS:
             here = dict.fromkeys(counts, 0)
             for share in (2, 6):
                 which = {int(i) for i in rng.choice(20, share, replace=False)}
-                logs = [
-                    drive(CYCLES[i % 5], base + i, fault, 0.0, tolerance=2) if i in which else healthy[i]
-                    for i in range(20)
-                ]
-                found = guarded(recipe, logs)
+                blocks = [*healthy]
+                for i in which:
+                    log = drive(CYCLES[i % 5], base + i, fault, 0.0, tolerance=2)
+                    blocks[i] = transform(sides[0], log)
+                found = guarded(sides, blocks)
                 here["sets"] += 1
+                logs_found[fault[0]][0] += len(found & which)
+                logs_found[fault[0]][1] += share
                 here["caught"] += bool(found & which)
                 here["exact"] += found == which
                 here["clean named"] += len(found - which)
@@ -118,17 +124,17 @@ def poison(seeds: int) -> None:
     n = counts["sets"]
     print(f"  caught {counts['caught']}/{n}, exact set named {counts['exact']}/{n}, clean logs named "
           f"{counts['clean named']}/{counts['clean']}, clean sets flagged {flagged}/{seeds}")  # fmt: skip
+    print("  faulty logs found:", ", ".join(f"{k} {a}/{b}" for k, (a, b) in logs_found.items()))
 
 
-def guarded(recipe: Recipe, logs: Sequence[Log]) -> set[int]:
-    """The places of the logs that the guard of a fit finds suspicious."""
-    prepare, models, decide = sections(bound(recipe, common_signals(logs)).stages)
-    blocks = [transform(prepare, log) for log in logs]
+def guarded(sides: Sections, blocks: Sequence[Log]) -> set[int]:
+    """The places of the prepared logs that the guard of a fit finds suspicious."""
+    prepare, models, decide = sides
     fitted = learn(models, [(prepare, block) for block in blocks])
     try:
         found = suspicious([*prepare, *fitted], decide, blocks, len(prepare))
     except ValueError:  # more than 40 %
-        return set(range(len(logs)))
+        return set(range(len(blocks)))
     return {i for i, f in enumerate(found) if f}
 
 

@@ -8,14 +8,19 @@ n_k, and the shifts S_k that each supposed fault of a reference size would give 
 
 with what tolerances do to each residual, a level and a slope along the shape that the faults' shifts vary
 most by (U), lack of fit b between drives, and noise s within one. Models fitted on a
-subset only move c, its mean by region; so a fit on any subset costs nothing. A least trimmed fit (Rousseeuw
-1984; concentration steps after Rousseeuw and Van Driessen 1999) finds the 60 % of the drives that agree best;
-that set then grows by all drives whose evidence for a fault,
+subset only move c, its mean by region; so a fit on any subset costs nothing. Some drives are always judged by
+their own spread, as that of all drives takes faults for tolerances.
 
-    T_k = max_f h^2 / G,   h = S' V^-1 (r - c) > 0,   G = S' V^-1 S,
+A least trimmed fit (Rousseeuw 1984; concentration steps after Rousseeuw and Van Driessen 1999) finds the 60 %
+of the drives with the likeliest levels and slopes. That set then grows drive by drive (a forward search,
+Atkinson and Riani 2000), always by the one with the least evidence for a fault,
 
-is at most ``threshold``; V includes the variance of c, which for members is that without them. What is left
-is suspicious, each with the fault that has the most evidence.
+    T_k = max_f h^2 / G,   h = S' V^-1 (r - c),   G = S' V^-1 S,
+
+of those with at most ``threshold``; members with more leave it. Only sizes h / G of at least ``TINY`` of the
+reference count, as tolerances are no faults. V includes the variance of c, which for members is that without
+them, and o is that of the members times what trimming has cut off. What is left is suspicious, each with the
+fault that has the most evidence.
 
 Tolerances hide small faults, a fault in most of the drives is taken for healthy, and nothing can be said of
 fewer than ``LEAST`` drives.
@@ -27,11 +32,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
 Array = NDArray[np.float64]
 LEAST = 5
-SHARE, STARTS, STEPS = 0.6, 50, 5
-THRESHOLD = 25.0
+SHARE, STARTS, STEPS = 0.6, 50, 8
+THRESHOLD, TINY = 20.0, 0.5
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -69,12 +75,11 @@ def suspicious(drives: Drives, threshold: float = THRESHOLD, seed: int = 0) -> l
     N = len(drives)
     if N < LEAST:
         return []
-    spread = spread_of(drives, np.arange(N))
-    members = _trimmed(drives, spread, np.random.default_rng(seed))
-    for _ in range(20):
-        spread = spread_of(drives, members)
-        found = [_evidence(drives, spread, members[members != k], k) for k in range(N)]
-        grown = np.flatnonzero([gain <= threshold for _, _, gain in found])
+    members = _trimmed(drives, np.random.default_rng(seed))
+    for _ in range(2 * N):
+        cut_off = _cut_off(len(members) / N, 2 * drives.mean.shape[1])
+        found = [_evidence(drives, members[members != k], k, cut_off) for k in range(N)]
+        grown = _grown(members, np.array([gain for _, _, gain in found]), threshold)
         if len(grown) < LEAST or np.array_equal(grown, members):
             break
         members = grown
@@ -93,20 +98,24 @@ class Spread:
     lack: Array
 
 
-def spread_of(drives: Drives, members: NDArray[np.int64]) -> Spread:
-    """Robust, over the members."""
-    some = drives.but(members)
-    R, modes = some.mean.shape[1], _modes(drives)
-    away = some.mean - centre_of(some.mean, some.count)
-    sd, lack = np.zeros((R, 2)), np.zeros(R)
-    for r in range(R):
-        level, var, left = _levels(away[:, r], some.count[:, r] / drives.noise[r] ** 2, modes[r])
-        sd[r] = np.sqrt(np.maximum(_sd(level, axis=0) ** 2 - np.median(var, axis=0), 0.0))
-        excess = float(_sd(left[some.count[:, r] > 0], axis=0)) ** 2
-        noise = drives.noise[r] ** 2 / _typical(some.count[:, r][some.count[:, r] > 0])
-        lack[r] = np.sqrt(max(excess - noise, 0.05 * excess))
+def spread_of(drives: Drives, members: NDArray[np.int64], cut_off: float = 1.0) -> Spread:
+    """That of the members; ``cut_off`` times what their levels show."""
+    some, modes = drives.but(members), _modes(drives)
+    level, var, left = _levels(some, modes, some.mean - centre_of(some.mean, some.count))
+    sd = cut_off * np.sqrt(np.maximum(level.var(axis=0) - np.median(var, axis=0), 0.0))
     sd[:, 0] = np.maximum(sd[:, 0], drives.offset)
+    lack = np.zeros(len(sd))
+    for r, there in enumerate((some.count > 0).swapaxes(0, 1)):
+        excess = float((left[:, r][there] ** 2).sum()) / max(there.sum(), 1)
+        noise = drives.noise[r] ** 2 / _typical(some.count[:, r][there])
+        lack[r] = np.sqrt(max(excess - noise, 0.05 * excess))
     return Spread(modes, np.maximum(sd, 1e-9), np.maximum(lack, 1e-9))
+
+
+def _cut_off(share: float, dimensions: int) -> float:
+    """The standard deviation of normal values over that of the ``share`` nearest to their centre (Croux and
+    Haesbroeck 1999)."""
+    return float(np.sqrt(share / chi2.cdf(chi2.ppf(share, dimensions), dimensions + 2)))
 
 
 def _modes(drives: Drives) -> Array:
@@ -124,23 +133,19 @@ def _modes(drives: Drives) -> Array:
     return modes
 
 
-def _levels(away: Array, precision: Array, modes: Array) -> tuple[Array, Array, Array]:
-    """Each drive's coefficients of the modes (drives, 2), their variances, and what is left."""
-    A = np.einsum("ma,km,mb->kab", modes, precision, modes)
-    A = A + 1e-6 * np.trace(A, axis1=1, axis2=2)[:, None, None] * np.eye(2) + 1e-12 * np.eye(2)
-    cov = np.linalg.inv(A)
-    level = np.einsum("kab,mb,km,km->ka", cov, modes, precision, away)
-    return level, np.einsum("kaa->ka", cov), away - level @ modes.T
+def _levels(drives: Drives, modes: Array, away: Array) -> tuple[Array, Array, Array]:
+    """Each drive's coefficients of the modes and their variances, (drives, residuals, 2), and what is left of
+    ``away`` (drives, residuals, regions)."""
+    precision = drives.count / drives.noise[:, None] ** 2
+    A = np.einsum("rma,krm,rmb->krab", modes, precision, modes)
+    least = 1e-6 * np.trace(A, axis1=2, axis2=3) + 1e-12
+    cov = np.linalg.inv(A + least[:, :, None, None] * np.eye(2))
+    level = np.einsum("krab,krb->kra", cov, np.einsum("rmb,krm->krb", modes, precision * away))
+    return level, np.einsum("kraa->kra", cov), away - np.einsum("kra,rma->krm", level, modes)
 
 
 def _typical(count: Array) -> float:
     return float(np.median(count)) if count.size else 1.0
-
-
-def _sd(x: Array, axis: int) -> Array:
-    """Standard deviation from the median absolute deviation."""
-    middle = np.nanmedian(x, axis=axis, keepdims=True)
-    return np.asarray(1.4826 * np.nanmedian(np.abs(x - middle), axis=axis))
 
 
 def centre_of(mean: Array, weight: Array) -> Array:
@@ -152,24 +157,45 @@ def _capped(count: Array, noise: Array, lack: Array) -> Array:
     return np.asarray(count / (1 + count * (lack / noise)[:, None] ** 2))
 
 
-def _trimmed(drives: Drives, spread: Spread, rng: np.random.Generator) -> NDArray[np.int64]:
-    """The members of the least trimmed fit."""
+def _trimmed(drives: Drives, rng: np.random.Generator) -> NDArray[np.int64]:
+    """The members of the least trimmed fit, by likelihood: a wide spread explains more and says less. It
+    starts from a few drives, as hardly a start with many is without faults."""
     N, h = len(drives), max(LEAST - 1, round(SHARE * len(drives)))
-    weight = _capped(drives.count, drives.noise, spread.lack)
-    best, best_sum = np.arange(h), np.inf
-    weights = [inverse(drives.count[k], drives.noise, spread, np.zeros(1), 1.0) for k in range(N)]
+    modes = _modes(drives)
+    usual = _unlikely(drives, modes, np.arange(N))[1]
+    best, least = np.arange(h), np.inf
     for _ in range(STARTS):
-        members = rng.choice(N, h, replace=False)
+        members = rng.choice(N, LEAST, replace=False)
         for _ in range(STEPS):
-            away = (drives.mean - centre_of(drives.mean[members], weight[members])).reshape(N, -1)
-            distance = np.array([a @ V @ a for a, V in zip(away, weights, strict=True)])
-            closest = np.argsort(distance)[:h]
+            distance, wide = _unlikely(drives, modes, members)
+            cost = distance + wide - usual  # how well a drive is known is not what is asked
+            closest = np.argsort(cost)[:h]
             if set(closest) == set(members):
                 break
             members = closest
-        if (total := float(np.sort(distance)[:h].sum())) < best_sum:
-            best, best_sum = np.sort(members), total
+        if (total := float(cost[closest].sum())) < least:
+            best, least = np.sort(closest), total
     return best
+
+
+def _unlikely(drives: Drives, modes: Array, members: NDArray[np.int64]) -> tuple[Array, Array]:
+    """Minus twice the log likelihood of every drive's levels, for members that are healthy: the distance and
+    the normalisation, each (drives,)."""
+    level, var, _ = _levels(
+        drives, modes, drives.mean - centre_of(drives.mean[members], drives.count[members])
+    )
+    square = np.maximum((level[members] ** 2 - var[members]).mean(axis=0), 0.0)
+    square[:, 0] = np.maximum(square[:, 0], drives.offset**2)
+    total = square + var
+    return (level**2 / total).sum(axis=(1, 2)), np.log(total).sum(axis=(1, 2))
+
+
+def _grown(members: NDArray[np.int64], gain: Array, threshold: float) -> NDArray[np.int64]:
+    """The members without those above the threshold, and the other drive with the least evidence below it."""
+    stay = members[gain[members] <= threshold]
+    outside = np.setdiff1d(np.arange(len(gain)), members)
+    outside = outside[gain[outside] <= threshold]
+    return np.sort(np.append(stay, outside[np.argsort(gain[outside])[:1]]))
 
 
 def inverse(count: Array, noise: Array, spread: Spread, centre_var: Array, more: float) -> Array:
@@ -187,8 +213,10 @@ def inverse(count: Array, noise: Array, spread: Spread, centre_var: Array, more:
     return out
 
 
-def _evidence(drives: Drives, spread: Spread, others: NDArray[np.int64], k: int) -> tuple[int, float, float]:
-    """The fault with the most evidence in drive k, its size and T, against models of the others."""
+def _evidence(drives: Drives, others: NDArray[np.int64], k: int, cut_off: float) -> tuple[int, float, float]:
+    """The fault with the most evidence in drive k, its size and T, against models and spread of the
+    others."""
+    spread = spread_of(drives, others, cut_off)
     weight = _capped(drives.count[others], drives.noise, spread.lack)
     total = weight.sum(axis=0)
     count = np.where(total > 0, drives.count[k], 0.0)
@@ -197,6 +225,7 @@ def _evidence(drives: Drives, spread: Spread, others: NDArray[np.int64], k: int)
     S = drives.shift[k].reshape(drives.shift.shape[1], -1)
     away = (drives.mean[k] - centre_of(drives.mean[others], weight)).reshape(-1)
     h, G = S @ V @ away, np.einsum("fi,ij,fj->f", S, V, S)
-    gain = np.where((h > 0) & (G > 1e-12), h**2 / np.maximum(G, 1e-12), 0.0)
+    size = h / np.maximum(G, 1e-12)
+    gain = np.where((size >= TINY) & (G > 1e-12), h * size, 0.0)
     f = int(np.argmax(gain))
-    return f, float(h[f] / max(G[f], 1e-12)), float(gain[f])
+    return f, float(size[f]), float(gain[f])

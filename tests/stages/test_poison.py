@@ -59,6 +59,26 @@ def test_a_fault_that_hides_in_the_tolerance_is_not_found() -> None:
     assert suspicious(clean)[0].drive == 3
 
 
+def test_a_third_with_one_fault_is_not_taken_for_tolerance() -> None:
+    """A sensor's gain at 8 standard deviations of its tolerance, in 6 of 20: among all drives it is 2."""
+    for seed in range(8):
+        logs = drives(np.random.default_rng(seed), 20, {}, offset=0.006)
+        logs.shift[:, 0] = 0.0
+        logs.shift[:, 0, 0] = 0.035
+        logs.mean[:6] += 1.4 * logs.shift[:6, 0]
+        assert {s.drive for s in suspicious(logs)} == {*range(6)}
+
+
+def test_a_tiny_size_is_a_tolerance_however_certain() -> None:
+    clean = drives(np.random.default_rng(5), 20, {})
+    clean.noise[:], clean.count[:] = 1e-4, 100.0
+    clean.mean[:] = 1e-5 * np.random.default_rng(5).normal(size=clean.mean.shape)
+    clean.mean[3] += 0.4 * clean.shift[3, 1]
+    assert not suspicious(clean)
+    clean.mean[3] += 0.4 * clean.shift[3, 1]
+    assert [s.drive for s in suspicious(clean)] == [3]
+
+
 def test_a_healthy_drive_elsewhere_is_not_suspicious() -> None:
     """It was in regions that no other has visited."""
     rng = np.random.default_rng(2)
