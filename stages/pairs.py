@@ -224,15 +224,15 @@ class Pairs:
                 named, x = pair + OF + fault, np.array([(x.sizes[k], x.sds[k]) for x in of]).reshape(-1, 2)
                 for c, kind in enumerate((SIZE, SIZE_SD)):
                     added[kind + named] = np.repeat(x[:, c], lasting).astype(np.float32)
-        most = np.maximum(best, evidence[UNKNOWN])
         for fault, some in self.also.items():
             for name in (fault + OF + signal for signal in some):
                 alone = [known.get(name, UNSEEN) for known in rare.values()]
-                height, size, sd = (
-                    np.repeat([getattr(x, of) for x in alone], lasting) for of in ("height", "size", "sd")
+                over, wide, size, sd = (
+                    np.repeat([getattr(x, of) for x in alone], lasting)
+                    for of in ("height", "over_unknown", "size", "sd")
                 )
-                evidence[name] = most + height
-                added[SENSOR + name] = (most + np.maximum(height, -self.also_penalty)).astype(np.float32)
+                evidence[name] = np.maximum(best + over, evidence[UNKNOWN] + wide)
+                added[SENSOR + name] = np.maximum(evidence[name], best - self.also_penalty).astype(np.float32)
                 added |= {SIZE + name: size.astype(np.float32), SIZE_SD + name: sd.astype(np.float32)}
             added[EVIDENCE + fault] = np.max([added[SENSOR + fault + OF + s] for s in some], axis=0)
         on = values[DETECTION] > 0

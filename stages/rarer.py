@@ -2,10 +2,14 @@
 
 An offset of a sensor looks much like a gain where the operating point moves little. It is undone like any
 other hypothesis (:mod:`stages.hypotheses`), and its height is the Laplace approximation of its marginal
-log-likelihood, less that of the best single fault or of `unknown`, and less a ``penalty``, as it is the rarer
-one:
+log-likelihood, less a ``penalty``, as it is the rarer one,
 
-    height = L(peak) + ln min(1, sqrt(2 pi) d / range of sizes) - max_f L_f - penalty,
+    L = L(peak) + ln min(1, sqrt(2 pi) d / range of sizes) - penalty.
+
+Evidence of an episode is that of the likeliest fault f* of those that were followed from its begin, or of
+`unknown`, and what L is above theirs in the window, whichever says more:
+
+    evidence = max(evidence_f* + L - L_f*, evidence_unknown + L - L_unknown),
 
 d the standard deviation of the size, all on samples that some hypothesis brings to where the relations were
 trained. Named ``<fault>.<signal>``, as several sensors can have it.
@@ -31,14 +35,16 @@ Also = Mapping[str, Mapping[str, Hypothesis]]  # by fault and signal
 
 @dataclass(frozen=True)
 class Alone:
-    """A fault alone: how evident it is beside what is usual, its size and the size's standard deviation."""
+    """A fault alone: how evident it is beside the likeliest usual one, and beside `unknown`; its size and the
+    size's standard deviation."""
 
     height: float
+    over_unknown: float
     size: float
     sd: float
 
 
-UNSEEN = Alone(-np.inf, np.nan, np.nan)
+UNSEEN = Alone(-np.inf, -np.inf, np.nan, np.nan)
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +72,7 @@ class Rarer:
         wide = replace(usual, sd=isolate.wide_sd, clip=np.inf)
         e, sigma, doubt = (x[:, :, :1] for x in computed[:3])
         unknown = wide.likelihood(e, sigma, doubt)[0] - isolate.unknown_penalty
-        best = max(unknown, *(height for _, height in usual.singles))
+        best = max(height for _, height in usual.singles)
         grid, share = self.grid, self.grid.share
         e, sigma, doubt = (
             (1.0 - share) * x[:, :, grid.left] + share * x[:, :, grid.right] for x in computed[:3]
@@ -76,6 +82,6 @@ class Rarer:
         for k, name in enumerate(self.names):
             x = grid.sizes[k, : grid.counts[k]]
             size, height, sd = peak(x, L[grid.points[k, : grid.counts[k]]])
-            height += float(np.log(min(1.0, np.sqrt(2 * np.pi) * sd / (x[-1] - x[0]))))
-            found[name] = Alone(height - best - penalty, size, sd if np.isfinite(sd) else np.nan)
+            height += float(np.log(min(1.0, np.sqrt(2 * np.pi) * sd / (x[-1] - x[0])))) - penalty
+            found[name] = Alone(height - best, height - unknown, size, sd if np.isfinite(sd) else np.nan)
         return found
