@@ -69,7 +69,7 @@ class Pairs:
         RecipeError: the stage before is not `isolate`, or has no such fault.
     """
 
-    version: ClassVar[str] = "3"
+    version: ClassVar[str] = "4"
     faults: tuple[str, ...] = ()
     penalty: float = 10.0
     model_error: float = 0.03
