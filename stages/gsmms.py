@@ -46,7 +46,8 @@ class Gsmms:
     ``theta``: (M, d + 1), row m is ``[a_m, b_m]``; ``root``: R, (M (d + 1), BLOCKS). ``width``: of the
     blending in s, 0 for hard regions.
     ``mean`` (M, d) and ``whiten`` (M, d, d): the training samples of a region, for the whitened distance
-    ``|whiten_m (s - mean_m)|`` to what the region has seen; ``reach``: that distance's limit.
+    ``|whiten_m (s - mean_m)|`` to what the region has seen; ``reach``: that distance's limit; ``bend``: what
+    the prediction errs by at that limit, for curvature (:mod:`stages.bending`).
     """
 
     partition: Partition
@@ -57,6 +58,7 @@ class Gsmms:
     mean: Array
     whiten: Array
     reach: float
+    bend: float = 0.0
 
     def evaluate(self, S: Array) -> Evaluation:
         """Prediction, doubt, novelty and region for normalised regressors ``S`` (N, d), each of shape (N,).
@@ -81,6 +83,7 @@ class Gsmms:
             "nodes": self.partition.nodes, "edges": self.partition.edges, "theta": self.theta,
             "root": self.root, "rms": np.array(self.rms), "width": np.array(self.width),
             "mean": self.mean, "whiten": self.whiten, "reach": np.array(self.reach),
+            "bend": np.array(self.bend),
         }  # fmt: skip
 
     @classmethod
@@ -88,7 +91,7 @@ class Gsmms:
         partition = Partition(a["nodes"], a["edges"].astype(np.int64))
         return cls(
             partition, a["theta"], a["root"], float(a["rms"]), float(a["width"]),
-            a["mean"], a["whiten"], float(a["reach"]),
+            a["mean"], a["whiten"], float(a["reach"]), float(a.get("bend", np.zeros(()))),
         )  # fmt: skip
 
 
@@ -192,7 +195,7 @@ def _fit_blended(nodes: Array, S: Array, y: Array, weight: Array) -> tuple[Array
     share = float(N / some[2].sum())
     best: tuple[float, float, Array, Array] | None = None
     for factor in (0.7, 1.0, 1.4, 2.0):
-        G, h = _blended_gram(nodes, factor * spacing, *some)
+        G, h = blended_gram(nodes, factor * spacing, *some)
         known = float(some[2] @ some[1] ** 2)
         cost, _ = shrinkage(share * G.sum(axis=0), share * h.sum(axis=0), share * known, float(N), M)
         if best is None or cost < best[0]:
@@ -200,7 +203,7 @@ def _fit_blended(nodes: Array, S: Array, y: Array, weight: Array) -> tuple[Array
     assert best is not None
     _, width, G, h = best
     if step > 1:
-        G, h = _blended_gram(nodes, width, S, target, weight)
+        G, h = blended_gram(nodes, width, S, target, weight)
     _, prior = shrinkage(G.sum(axis=0), h.sum(axis=0), yy, float(N), M)
     theta, root = solve_blended(G, h, prior, M)
     theta = scale * theta
@@ -235,7 +238,7 @@ def solve_blended(G: Array, h: Array, prior: Array, M: int) -> tuple[Array, Arra
     return theta.reshape(M, k), root
 
 
-def _blended_gram(nodes: Array, width: float, S: Array, target: Array, weight: Array) -> tuple[Array, Array]:
+def blended_gram(nodes: Array, width: float, S: Array, target: Array, weight: Array) -> tuple[Array, Array]:
     """Gram matrices and moments of the features ``(1, s), nu_m(s) (1, s)`` by block."""
     size = (len(nodes) + 1) * (S.shape[1] + 1)
     G, h = np.zeros((BLOCKS, size, size)), np.zeros((BLOCKS, size))

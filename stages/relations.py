@@ -1,12 +1,15 @@
 """Relations: what a healthy system obeys, e.g. ``W_Cyl = f_Cyl(p_Int, n_Eng)`` of (5.36), each one a GSMMS.
 
 Fitted on fault-free training logs; each relation adds its prediction as a column of its own name, and
-``<name>.sd = doubt doubt_f(s) max(1, novelty)^2``, how far the prediction may be off for want of training
-data (``doubt_f``: :mod:`stages.gsmms`): beyond the trained domain an affine model errs with the square of the
-distance. ``<name>.novelty`` is the relation's own or the regime's, whichever is larger: at an operating point
-that was never met, no relation can be trusted. One relation also names the operating regime: column
-``regime`` is the best matching unit on its map. ``in_domain`` says that every novelty is at most 1; no sample
-is thrown away.
+``<name>.sd``, how far the prediction may be off for want of training data,
+
+    sd^2 = (doubt doubt_f(s) max(1, novelty)^2)^2 + (bend novelty_f(s)^2)^2,
+
+as beyond the trained domain an affine model errs with the square of the distance (``doubt_f novelty_f``:
+:mod:`stages.gsmms`, ``bend``: :mod:`stages.bending`). ``<name>.novelty`` is the relation's own or the
+regime's, whichever is larger: at an operating point that was never met, no relation can be trusted. One
+relation also names the operating regime: column ``regime`` is the best matching unit on its map.
+``in_domain`` says that every novelty is at most 1; no sample is thrown away.
 """
 
 from __future__ import annotations
@@ -21,6 +24,7 @@ from numpy.typing import NDArray
 
 from ingest.errors import LogError, RecipeError, did_you_mean
 from ingest.log import TIME, Log
+from stages.bending import bend_of
 from stages.evaluation import Evaluation
 from stages.formula import Formula
 from stages.gate import GATE
@@ -132,16 +136,15 @@ class Relation:
         growth = Growth(
             nodes=self.nodes, samples_per_parameter=self.samples_per_parameter, max_error=self.max_error
         )
-        return fit_gsmms(
-            regressors(values, inputs)[holds],
-            output[holds],
-            weight[holds],
+        samples = (
+            regressors(values, inputs)[holds], output[holds], weight[holds],
             np.broadcast_to(own, holds.shape)[holds],
-            growth=growth,
-            combination=self.combination,
-            neighbourhood=self.neighbourhood,
+        )  # fmt: skip
+        model = fit_gsmms(
+            *samples, growth=growth, combination=self.combination, neighbourhood=self.neighbourhood,
             partition=partition,
-        )
+        )  # fmt: skip
+        return replace(model, bend=bend_of(model, *samples[:2], samples[2] * samples[3]))
 
 
 def regressors(values: Values, inputs: Sequence[str]) -> NDArray[np.float64]:
@@ -159,7 +162,7 @@ class Relations:
         LogError: the training logs hold too few complete samples.
     """
 
-    version: ClassVar[str] = "3"
+    version: ClassVar[str] = "4"
     learns_from: ClassVar[Literal["training"]] = "training"
     relations: Mapping[str, Relation]
     regime: str
@@ -291,9 +294,12 @@ class Relations:
             if wanted is not None and wanted.isdisjoint({name, name + SD, name + NOVELTY, IN_DOMAIN}):
                 continue
             scope = {**values, **added}
-            predicted, doubt, novelty = _predicted(relation, self.models.get(name), self.inputs(name), scope)
+            model = self.models.get(name)
+            predicted, doubt, novelty = _predicted(relation, model, self.inputs(name), scope)
+            bend = (model.bend if model else 0.0) * np.minimum(novelty, FAR) ** 2
             novelty = np.maximum(novelty, everywhere)
-            sd = self.doubt * doubt * np.clip(novelty, 1.0, FAR) ** 2
+            doubt = self.doubt * doubt * np.clip(novelty, 1.0, FAR) ** 2
+            sd = np.sqrt(doubt**2 + bend**2)
             added |= {name: predicted, name + SD: sd, name + NOVELTY: novelty}
             largest = np.maximum(largest, novelty)
         return added | {IN_DOMAIN: largest <= 1} if wanted is None or IN_DOMAIN in wanted else added
