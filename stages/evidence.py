@@ -163,7 +163,7 @@ def shorten(memory: Memory, settings: Settings, grid: Grid) -> None:  # pragma: 
     points = grid.points[f, : grid.counts[f]]
     whole = np.max(log_likelihoods(S[T], settings.sd, settings.unknown_sd)[points])
     gain, since = settings.change, 0
-    for i in range(1, T):
+    for i in range(2, T):  # those that begin with the episode
         if settings.memories[i] < clocks[SINCE]:
             L = log_likelihoods(S[i], settings.sd, settings.unknown_sd)
             recent = np.max(L[points])

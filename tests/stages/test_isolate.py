@@ -107,6 +107,14 @@ def test_the_alarm_ends_with_the_fault(fitted: list[Stage], size: float) -> None
     assert again["p.flow_gain"].min() > 0.9  # type: ignore[operator]
 
 
+@pytest.mark.parametrize("size", [-0.09, 0.03, 0.09])
+def test_a_fault_keeps_its_name_and_size(fitted: list[Stage], size: float) -> None:
+    """What came before the alarm is not taken for another size of it."""
+    out = samples(fitted, drive(5, pressure=size)).filter(pl.col("time") > 220)
+    assert out["p.pressure_gain"].min() > 0.9  # type: ignore[operator]
+    assert out["size.pressure_gain"].to_numpy() == pytest.approx(size, rel=0.15)
+
+
 def test_a_fault_that_grows_is_judged_by_what_it_has_grown_to(fitted: list[Stage]) -> None:
     """Pressure gain from 0 to 10 % between 200 and 400 s."""
     t = drive(9).groups[ANALYSIS].frame["time"].to_numpy()
@@ -114,7 +122,7 @@ def test_a_fault_that_grows_is_judged_by_what_it_has_grown_to(fitted: list[Stage
     frame = drive(9).groups[ANALYSIS].frame.with_columns(p=pl.col("p") * (1 + size))
     out = samples(fitted, Log("x", {ANALYSIS: Group(ANALYSIS, frame)}))
     assert out["detection"].to_numpy()[t > 300].min() == 1
-    late = out.filter(pl.col("time") > 410)
+    late = out.filter(pl.col("time") > 450)
     assert late["p.pressure_gain"].min() > 0.9  # type: ignore[operator]
     assert late["size.pressure_gain"].to_numpy() == pytest.approx(0.1, rel=0.1)
 
