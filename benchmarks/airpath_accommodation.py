@@ -33,10 +33,8 @@ def ratio(cycle: str, seed: int, fault: str, size: float) -> float:
         return float("nan")
     truth = log.values(f"truth.{signal}")
     at = np.searchsorted(group.time, log.group_of(f"truth.{signal}").time - 1e-6)  # written less often
-    raw, corrected, sd = (
-        group.frame[signal + kind].to_numpy()[at] for kind in ("", ".corrected", ".corrected_sd")
-    )
-    since = int(np.flatnonzero(sd > 0)[0])
+    raw, corrected = (group.frame[signal + kind].to_numpy()[at] for kind in ("", ".corrected"))
+    since = int(np.flatnonzero(raw != corrected)[0])
     off, left = (np.sqrt(np.nanmean((x - truth)[since:] ** 2)) for x in (raw, corrected))
     return float(off / left)
 
