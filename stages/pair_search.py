@@ -110,6 +110,12 @@ class Window:
         return max(height for _, height in self.singles)
 
     @cached_property
+    def explained(self) -> float:
+        """How much likelier the best fault is than the log as it is."""
+        e, sigma, doubt = (x[:, :, :1] for x in self.computed[:3])
+        return max(self.most - float(self.likelihood(e, sigma, doubt)[0]), 0.0)
+
+    @cached_property
     def alone(self) -> float:
         """The largest, also of faults whose size changes once, after a quarter of the rows, a half or three
         quarters."""

@@ -6,11 +6,12 @@ and on a few samples. Where no second fault adds to the likeliest one, that is a
 log-likelihood L (:mod:`stages.likelihood`) find both sizes. With d the standard deviation of a size, C the
 covariance of the two, and f* the best single fault,
 
-    evidence_fg = evidence_f* + L_fg + ln(2 pi |C|^1/2 / ranges) - max(L_f* + penalty, L_h),
+    evidence_fg = evidence_f* + L_fg + ln(2 pi |C|^1/2 / ranges) - max(L_f* + least, L_h),
     L_f* = max_f [L_f + ln(sqrt(2 pi) d / range)],
 
-where L_h is that of the best single fault whose size changes once within the samples: one fault that grows or
-ends is not two. The probabilities are those of the stage before, with the pairs among the suppositions. Where
+where least is ``penalty`` and ``least_share`` of what f* explains of the log as it is, and L_h that of the
+best single fault whose size changes once within the samples: one fault that grows or ends is not two. The
+probabilities are those of the stage before, with the pairs among the suppositions. Where
 a pair explains much, errors of the relations explain more, too: all evidence then counts
 ``1 / (1 + model_error gain)``. Two faults at once are a requirement of section 1.1.
 """
@@ -59,11 +60,12 @@ class PairsState:
 
 @dataclass(frozen=True, kw_only=True)
 class Pairs:
-    """``faults``: those that can occur together, none for all of the stage before; ``penalty``: how much
-    likelier than a single fault a pair must be (natural logarithm); ``model_error``: the part of a pair's
-    evidence over a single fault by which evidence may be wrong; ``alike``: faults any two of which look the
-    same, so that their pairs share their probability; ``rows``: samples to look at; ``also``: rarer faults by
-    the sensor that can have them (:mod:`stages.rarer`), with ``also_penalty``.
+    """``faults``: those that can occur together, none for all of the stage before; ``penalty``,
+    ``least_share``: how much likelier than a single fault a pair must be (natural logarithm), and which part
+    of what that explains; ``model_error``: the part of a pair's evidence over a single fault by which
+    evidence may be wrong; ``alike``: faults any two of which look the same, so that their pairs share their
+    probability; ``rows``: samples to look at; ``also``: rarer faults by the sensor that can have them
+    (:mod:`stages.rarer`), with ``also_penalty``.
 
     Raises:
         RecipeError: the stage before is not `isolate`, or has no such fault.
@@ -72,6 +74,7 @@ class Pairs:
     version: ClassVar[str] = "4"
     faults: tuple[str, ...] = ()
     penalty: float = 10.0
+    least_share: float = 0.0007
     model_error: float = 0.03
     alike: tuple[tuple[str, ...], ...] = ()
     rows: int = 400
@@ -197,7 +200,8 @@ class Pairs:
         if not at:
             return {}
         familiar = window.familiar(list(at.values()), isolate.known_to)
-        best = max(familiar.most + self.penalty, familiar.alone)
+        least = self.penalty + self.least_share * familiar.explained
+        best = max(familiar.most + least, familiar.alone)
         return {
             pair: replace(x, height=familiar.both(i, j, np.array([x.sizes]))[0] + x.share - best)
             for pair, (i, j, x) in at.items()
