@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 MIN_LOGS = 3  # fewer do not tell what differs from run to run
 LEAST = 1e-12
 SPAN_S = 30.0  # errors of longer are offsets
-BOUNDS_S = (1.0, 10.0)
+LONGEST_S = 10.0
 
 
 def offset_sd(
@@ -84,8 +84,8 @@ def correlation_times(blocks: Sequence[Log], residuals: Sequence[str], given_s: 
 
         tau = dt sum_spans (sum_i w_i z_i)^2 / sum_i (w_i z_i)^2,
 
-    held within ``BOUNDS_S``; spikes count as 5 spreads. With fewer than ``MIN_LOGS`` different logs it is
-    ``given_s``.
+    at least ``given_s``, as what is not in these logs may last longer, and at most ``LONGEST_S``; spikes
+    count as 5 spreads. With fewer than ``MIN_LOGS`` different logs it is ``given_s``.
     """
     if len({block.name for block in blocks}) < MIN_LOGS:
         return np.full(len(residuals), given_s)
@@ -100,4 +100,4 @@ def correlation_times(blocks: Sequence[Log], residuals: Sequence[str], given_s: 
             z = w * (np.nan_to_num(z) - np.average(np.nan_to_num(z), weights=np.maximum(w, LEAST)))
             dt = float(np.median(np.diff(time)))
             sums[:, i] += dt * (np.bincount(part, z) ** 2).sum(), (z**2).sum()
-    return np.asarray(np.clip(sums[0] / np.maximum(sums[1], LEAST), *BOUNDS_S))
+    return np.asarray(np.clip(sums[0] / np.maximum(sums[1], LEAST), given_s, LONGEST_S))

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,10 +23,11 @@ ALL = slice(None)
 
 @dataclass(frozen=True)
 class Pair:
-    """Two faults: how evident they are, the logarithm of the share of all sizes that theirs make, the sizes
-    and their standard deviations."""
+    """Two faults: how evident they are beside the likeliest single fault and beside `unknown`, the logarithm
+    of the share of all sizes that theirs make, the sizes and their standard deviations."""
 
     height: float
+    over_unknown: float
     share: float
     sizes: tuple[float, float]
     sds: tuple[float, float]
@@ -115,6 +117,11 @@ class Window:
         e, sigma, doubt = (x[:, :, :1] for x in self.computed[:3])
         return max(self.most - float(self.likelihood(e, sigma, doubt)[0]), 0.0)
 
+    def unknown(self, sd: Array) -> float:
+        """L of the log as it is with offsets of ``sd`` (residuals, 2), spikes and all."""
+        e, sigma, doubt = (x[:, :, :1] for x in self.computed[:3])
+        return float(replace(self, sd=sd, clip=np.inf).likelihood(e, sigma, doubt)[0])
+
     @cached_property
     def alone(self) -> float:
         """The largest, also of faults whose size changes once, after a quarter of the rows, a half or three
@@ -146,8 +153,16 @@ class Window:
         for i, j, pair in pairs:
             found = self._undone(i, j, np.array([pair.sizes]))
             novelty.append(self._stacked(found, UNFAMILIAR, 1)[:, :, 0])
-        known = familiarity(np.nan_to_num(novelty, nan=np.inf).min(axis=0), known_to)
-        return replace(self, weight=self.weight * known)
+        return self.trusted(familiarity(np.nan_to_num(novelty, nan=np.inf).min(axis=0), known_to))
+
+    def trusted(self, known: Array, **changed: Any) -> Window:
+        """The same samples by a share ``known`` (rows, residuals) of their weight; what is computed is
+        kept."""
+        other = replace(self, weight=self.weight * known, **changed)
+        vars(other).update(
+            {k: x for k, x in vars(self).items() if k in ("base", "plain", "computed", "_refined")}
+        )
+        return other
 
     def _undone(self, i: int, j: int, sizes: Array) -> dict[str, Array]:
         return self.points.undone(self.base, [(i, sizes[:, 0]), (j, sizes[:, 1])])
@@ -190,7 +205,9 @@ class Window:
         sds = np.sqrt(np.diag(C))
         width = 2 * np.pi * np.sqrt(max(np.linalg.det(C), 0.0)) / np.prod(high - low)
         share = float(np.log(min(1.0, max(width, 1e-300))))
-        return Pair(top + share, share, (float(best[0]), float(best[1])), (float(sds[0]), float(sds[1])))
+        return Pair(
+            top + share, -np.inf, share, (float(best[0]), float(best[1])), (float(sds[0]), float(sds[1]))
+        )
 
 
 STENCIL = np.array(

@@ -39,9 +39,9 @@ from stages.stage import ANALYSIS, Stage, add_columns, columns
 
 Array = NDArray[np.float64]
 FIRST, GROWTH = 20, 3.0  # samples of an alarm before pairs are looked at, and after which factor again
-REFINED, FEW = 12, 50  # pairs at most, samples to find them by
+REFINED, FEW, SOME = 12, 50, 200  # pairs at most, samples to find them and rarer faults by
 STANDS_FOR = "stands_for"  # s
-NOTHING = Pair(-np.inf, 0.0, (np.nan, np.nan), (np.nan, np.nan))
+NOTHING = Pair(-np.inf, -np.inf, 0.0, (np.nan, np.nan), (np.nan, np.nan))
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +71,7 @@ class Pairs:
         RecipeError: the stage before is not `isolate`, or has no such fault.
     """
 
-    version: ClassVar[str] = "4"
+    version: ClassVar[str] = "5"
     faults: tuple[str, ...] = ()
     penalty: float = 10.0
     least_share: float = 0.0007
@@ -151,12 +151,8 @@ class Pairs:
                     kept = self._kept(state, samples, usable, slice(taken, k + 1))
                     taken = k + 1
                     due = int(np.ceil(GROWTH * state.count))
-                    window = self._window(kept)
-                    state = replace(state, samples=kept, due=due, found=self._search(window))
-                    if self.rarer:
-                        known = self.rarer.compared(window, self.isolate, self.also_penalty)
-                        state = replace(state, rare=known)
-                    found[k], rare[k] = state.found, state.rare
+                    found[k], rare[k] = self._judged(self._window(kept))
+                    state = replace(state, samples=kept, due=due, found=found[k], rare=rare[k])
         kept = self._kept(state, samples, usable, slice(taken, time.size))
         state = replace(state, samples=kept, time=float(time[-1]))
         return state, add_columns(block, self._columns(values, found, rare))
@@ -177,7 +173,21 @@ class Pairs:
         weight = isolate.weight(samples[STANDS_FOR])
         return Window(points, isolate.grid, samples, shapes, isolate.sd, weight, isolate.clip)
 
-    def _search(self, window: Window) -> dict[str, Pair]:
+    def _judged(self, window: Window) -> tuple[Mapping[str, Pair], Mapping[str, Alone]]:
+        """The pairs and the rarer faults that are more evident than one usual fault."""
+        rare: Mapping[str, Alone] = {}
+        if self.rarer:
+            some = window.thinned(SOME)
+            penalty = self.also_penalty + self._least(some) - self.penalty
+            rare = self.rarer.compared(some, self.isolate, penalty)
+        # where another kind of fault says more than one of the usual ones, two of these may, too
+        return self._search(window, all_of_them=any(x.height > 0 for x in rare.values())), rare
+
+    def _least(self, window: Window) -> float:
+        """How much likelier than one fault two must be."""
+        return self.penalty + self.least_share * window.explained
+
+    def _search(self, window: Window, *, all_of_them: bool) -> dict[str, Pair]:
         """The pairs that say more than any single fault, their sizes refined; ``height`` is by how much."""
         isolate = self.isolate
         few, drifts, names = window.thinned(FEW), len(isolate.drifts), [*isolate.hypotheses]
@@ -186,10 +196,11 @@ class Pairs:
         sizes = {f: [*isolate.hypotheses[f].sizes[::3], single[f]] for f in names}
         likeliest = names[int(np.argmax([height for _, height in few.singles]))]
         starts: dict[str, tuple[float, tuple[float, float]]] = {}
+        enough = few.most + 0.5 * self._least(few)
         # those with the likeliest fault first: where nothing adds to it, one fault is enough
         for pair in sorted(self.pairs, key=lambda p: likeliest not in self.pairs[p]):
             a, b = self.pairs[pair]
-            if likeliest not in (a, b) and starts and _most(starts) < few.most + 0.5 * self.penalty:
+            if likeliest not in (a, b) and starts and not all_of_them and _most(starts) < enough:
                 return {}
             starts[pair] = few.start(place[a], place[b], sizes[a], sizes[b])
         likely = sorted((p for p in starts if starts[p][0] > few.most), key=lambda p: -starts[p][0])
@@ -200,12 +211,13 @@ class Pairs:
         if not at:
             return {}
         familiar = window.familiar(list(at.values()), isolate.known_to)
-        least = self.penalty + self.least_share * familiar.explained
-        best = max(familiar.most + least, familiar.alone)
-        return {
-            pair: replace(x, height=familiar.both(i, j, np.array([x.sizes]))[0] + x.share - best)
-            for pair, (i, j, x) in at.items()
-        }
+        best = max(familiar.most + self._least(familiar), familiar.alone)
+        unknown = familiar.unknown(isolate.wide_sd) - isolate.unknown_penalty + self.penalty
+        found = {}
+        for pair, (i, j, x) in at.items():
+            L = familiar.both(i, j, np.array([x.sizes]))[0] + x.share
+            found[pair] = replace(x, height=L - best, over_unknown=L - unknown)
+        return found
 
     def _columns(
         self,
@@ -220,12 +232,14 @@ class Pairs:
         lasting = np.diff([*found, len(best)])  # rows
         added: dict[str, NDArray[Any]] = {}
         for pair, faults in self.pairs.items():
-            of = [known.get(pair, NOTHING) for known in found.values()]
-            height = np.repeat([x.height for x in of], lasting)
-            evidence[pair] = best + height
-            added[EVIDENCE + pair] = (best + np.maximum(height, -self.penalty)).astype(np.float32)
+            pairs = [known.get(pair, NOTHING) for known in found.values()]
+            over, wide = (
+                np.repeat([getattr(x, of) for x in pairs], lasting) for of in ("height", "over_unknown")
+            )
+            evidence[pair] = np.maximum(best + over, evidence[UNKNOWN] + wide)
+            added[EVIDENCE + pair] = np.maximum(evidence[pair], best - self.penalty).astype(np.float32)
             for k, fault in enumerate(faults):
-                named, x = pair + OF + fault, np.array([(x.sizes[k], x.sds[k]) for x in of]).reshape(-1, 2)
+                named, x = pair + OF + fault, np.array([(x.sizes[k], x.sds[k]) for x in pairs]).reshape(-1, 2)
                 for c, kind in enumerate((SIZE, SIZE_SD)):
                     added[kind + named] = np.repeat(x[:, c], lasting).astype(np.float32)
         for fault, some in self.also.items():

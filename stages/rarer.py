@@ -68,11 +68,9 @@ class Rarer:
         window = replace(usual, points=self.points, grid=self.grid)
         computed = window.computed
         known = familiarity(np.minimum(usual.computed[3], computed[3]), isolate.known_to)
-        usual = replace(usual, weight=usual.weight * known)
-        wide = replace(usual, sd=isolate.wide_sd, clip=np.inf)
-        e, sigma, doubt = (x[:, :, :1] for x in computed[:3])
-        unknown = wide.likelihood(e, sigma, doubt)[0] - isolate.unknown_penalty
-        best = max(height for _, height in usual.singles)
+        usual = usual.trusted(known)
+        unknown = usual.unknown(isolate.wide_sd) - isolate.unknown_penalty
+        best = usual.most
         grid, share = self.grid, self.grid.share
         e, sigma, doubt = (
             (1.0 - share) * x[:, :, grid.left] + share * x[:, :, grid.right] for x in computed[:3]

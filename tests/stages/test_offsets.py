@@ -60,7 +60,7 @@ def test_the_correlation_time_of_a_first_order_process(phi: float, tau: float) -
         frame = pl.DataFrame({"time": t, "residual.r": 3 + 2 * z, "sigma.r": np.full(t.size, 2.0)})
         return Log(f"log{i}", {ANALYSIS: Group(ANALYSIS, frame)})
 
-    assert correlation_times([log(i) for i in range(8)], ["r"], 2.0)[0] == pytest.approx(tau, rel=0.15)
+    assert correlation_times([log(i) for i in range(8)], ["r"], 1.0)[0] == pytest.approx(tau, rel=0.15)
     assert correlation_times([log(0)], ["r"], 2.0)[0] == 2.0
 
 
