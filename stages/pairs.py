@@ -71,7 +71,7 @@ class Pairs:
         RecipeError: the stage before is not `isolate`, or has no such fault.
     """
 
-    version: ClassVar[str] = "5"
+    version: ClassVar[str] = "6"
     faults: tuple[str, ...] = ()
     penalty: float = 10.0
     least_share: float = 0.0007
@@ -79,7 +79,7 @@ class Pairs:
     alike: tuple[tuple[str, ...], ...] = ()
     rows: int = 400
     also: Also = field(default_factory=dict)
-    also_penalty: float = 3.0
+    also_penalty: float = 8.0
     before: tuple[Stage, ...] = ()
 
     @property
