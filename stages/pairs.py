@@ -33,7 +33,7 @@ from stages.gate import GATE
 from stages.hypotheses import ELAPSED
 from stages.isolate import Isolate
 from stages.pair_search import Pair, Window
-from stages.rarer import UNSEEN, Alone, Also, Rarer
+from stages.rarer import ONE, UNSEEN, Alone, Also, Rarer
 from stages.results import DETECTION, EVIDENCE, OF, PAIR, PROBABILITY, SENSOR, SIZE, SIZE_SD, UNKNOWN
 from stages.stage import ANALYSIS, Stage, add_columns, columns
 
@@ -71,7 +71,7 @@ class Pairs:
         RecipeError: the stage before is not `isolate`, or has no such fault.
     """
 
-    version: ClassVar[str] = "6"
+    version: ClassVar[str] = "7"
     faults: tuple[str, ...] = ()
     penalty: float = 10.0
     least_share: float = 0.0007
@@ -79,7 +79,7 @@ class Pairs:
     alike: tuple[tuple[str, ...], ...] = ()
     rows: int = 400
     also: Also = field(default_factory=dict)
-    also_penalty: float = 8.0
+    also_penalty: float = 5.0
     before: tuple[Stage, ...] = ()
 
     @property
@@ -212,7 +212,7 @@ class Pairs:
             return {}
         familiar = window.familiar(list(at.values()), isolate.known_to)
         best = max(familiar.most + self._least(familiar), familiar.alone)
-        unknown = familiar.unknown(isolate.wide_sd) - isolate.unknown_penalty + self.penalty
+        unknown = familiar.unknown(isolate.wide_sd) - isolate.unknown_penalty + best - familiar.most
         found = {}
         for pair, (i, j, x) in at.items():
             L = familiar.both(i, j, np.array([x.sizes]))[0] + x.share
@@ -231,12 +231,15 @@ class Pairs:
         best = np.max([evidence[f] for f in singles[:-1]], axis=0)
         lasting = np.diff([*found, len(best)])  # rows
         added: dict[str, NDArray[Any]] = {}
+        one = np.repeat([known.get(ONE, UNSEEN).over_unknown for known in rare.values()], lasting)
+        judged = np.isfinite(one)
+        evidence[UNKNOWN] = np.where(judged, np.minimum(evidence[UNKNOWN], best - one), evidence[UNKNOWN])
         for pair, faults in self.pairs.items():
             pairs = [known.get(pair, NOTHING) for known in found.values()]
             over, wide = (
                 np.repeat([getattr(x, of) for x in pairs], lasting) for of in ("height", "over_unknown")
             )
-            evidence[pair] = np.maximum(best + over, evidence[UNKNOWN] + wide)
+            evidence[pair] = np.maximum(best + over, np.where(judged, evidence[UNKNOWN] + wide, -np.inf))
             added[EVIDENCE + pair] = np.maximum(evidence[pair], best - self.penalty).astype(np.float32)
             for k, fault in enumerate(faults):
                 named, x = pair + OF + fault, np.array([(x.sizes[k], x.sds[k]) for x in pairs]).reshape(-1, 2)

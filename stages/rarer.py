@@ -4,15 +4,18 @@ An offset of a sensor looks much like a gain where the operating point moves lit
 other hypothesis (:mod:`stages.hypotheses`), and its height is the Laplace approximation of its marginal
 log-likelihood, less a ``penalty``, as it is the rarer one,
 
-    L = L(peak) + ln min(1, sqrt(2 pi) d / range of sizes) - penalty.
+    L = L(peak) + ln min(1, sqrt(2 pi) d / range of sizes) - penalty,
 
-Evidence of an episode is that of the likeliest fault f* of those that were followed from its begin, or of
-`unknown`, and what L is above theirs in the window, whichever says more:
+d the standard deviation of the size, where the penalty is at least by how much a usual fault is likelier
+whose size changes once. Evidence of an episode is that of the likeliest fault f* of those that were followed
+from its begin, or of `unknown`, and what L is above theirs in the window, whichever says more:
 
     evidence = max(evidence_f* + L - L_f*, evidence_unknown + L - L_unknown),
+    evidence_unknown <= evidence_f* + L_unknown - L_f*,
 
-d the standard deviation of the size, all on samples that some hypothesis brings to where the relations were
-trained. Named ``<fault>.<signal>``, as several sensors can have it.
+the latter as what changed in the course of an episode does not make the window's fault unknown; all on
+samples that some hypothesis brings to where the relations were trained. Named ``<fault>.<signal>``, as
+several sensors can have it.
 """
 
 from __future__ import annotations
@@ -44,6 +47,7 @@ class Alone:
     sd: float
 
 
+ONE = "one"  # the likeliest usual fault
 UNSEEN = Alone(-np.inf, -np.inf, np.nan, np.nan)
 
 
@@ -76,10 +80,15 @@ class Rarer:
             (1.0 - share) * x[:, :, grid.left] + share * x[:, :, grid.right] for x in computed[:3]
         )
         L = replace(window, weight=usual.weight).likelihood(e, sigma, doubt)
-        found = {}
+        found: dict[str, tuple[float, float, float]] = {}
         for k, name in enumerate(self.names):
             x = grid.sizes[k, : grid.counts[k]]
             size, height, sd = peak(x, L[grid.points[k, : grid.counts[k]]])
-            height += float(np.log(min(1.0, np.sqrt(2 * np.pi) * sd / (x[-1] - x[0])))) - penalty
-            found[name] = Alone(height - best, height - unknown, size, sd if np.isfinite(sd) else np.nan)
-        return found
+            height += float(np.log(min(1.0, np.sqrt(2 * np.pi) * sd / (x[-1] - x[0]))))
+            found[name] = height, size, sd if np.isfinite(sd) else np.nan
+        if max(height for height, *_ in found.values()) > best + penalty:
+            penalty = max(penalty, usual.alone - best)  # a fault whose size changes is none of these
+        return {ONE: Alone(0.0, best - unknown, np.nan, np.nan)} | {
+            name: Alone(height - penalty - best, height - penalty - unknown, size, sd)
+            for name, (height, size, sd) in found.items()
+        }

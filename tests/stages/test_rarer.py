@@ -55,6 +55,16 @@ def test_another_fault_is_no_offset(fitted: list[Stage], fault: dict[str, float]
     )
 
 
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_a_gain_that_grows_is_no_offset(fitted: list[Stage], sign: int) -> None:
+    """Over the episode no fault of one size fits, so that any says more than `unknown` in the window."""
+    frame = drive(9).groups[ANALYSIS].frame
+    size = sign * np.clip((frame["time"].to_numpy() - 200) / 200, 0, 1) * 0.08
+    log = Log("grows", {ANALYSIS: Group(ANALYSIS, frame.with_columns(p=pl.col("p") * (1 + size)))})
+    out = transform(fitted, log).groups[ANALYSIS].frame.filter(pl.col("time") > 460)
+    assert out["p.pressure_gain"].min() > 0.5  # type: ignore[operator]
+
+
 def test_without_an_alarm_nothing_is_said(fitted: list[Stage]) -> None:
     frame = transform(fitted, drive(9)).groups[ANALYSIS].frame
     assert frame["p.sensor_offset"].max() == 0.0
