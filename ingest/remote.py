@@ -6,13 +6,13 @@ read more than once.
 
 from __future__ import annotations
 
-import atexit
 import shutil
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from fnmatch import fnmatch
 from functools import cache
+from multiprocessing.util import Finalize
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -129,7 +129,7 @@ def _fits(path: str, base: str, pattern: str, suffixes: Sequence[str]) -> bool:
 @cache
 def _folder() -> str:
     folder = tempfile.mkdtemp(prefix="dynoscope-")
-    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    Finalize(None, shutil.rmtree, (folder, True), exitpriority=0)  # also at the end of a worker process
     return folder
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 
 import polars as pl
@@ -99,3 +101,14 @@ def test_a_password_is_not_repeated() -> None:
     with pytest.raises(LogError) as caught:
         find_logs(["nosuch://me:secret@host/x.csv"])
     assert "secret" not in str(caught.value)
+
+
+@pytest.mark.parametrize("method", ["spawn", "forkserver"])
+def test_a_worker_leaves_nothing_behind(method: str) -> None:
+    """What it fetched lay in a folder of its own."""
+    from ingest import remote
+
+    with ProcessPoolExecutor(1, mp_context=get_context(method)) as pool:
+        folder = Path(pool.submit(remote._folder).result())
+        assert folder.is_dir()
+    assert not folder.exists()
