@@ -200,8 +200,15 @@ def vehicle(folder: Path, detector: Detector, out: Path) -> list[Path]:
     for day in range(24):
         weak = [Fault(name="maf_gain", magnitude=-0.05, onset_s=0.0)] if day >= 19 else []
         clogged = {"A_Thr": clean / np.sqrt(1.0 + 0.003 * max(day - 8, 0))}
-        name, short = f"day{day:02d}", {"cycle": "udds", "duration_s": 300.0}
-        logs.append(simulate_airpath(**short, seed=200 + day, name=name, overrides=clogged, faults=weak))
+        log = simulate_airpath(
+            cycle="udds",
+            duration_s=300.0,
+            seed=200 + day,
+            name=f"day{day:02d}",
+            overrides=clogged,
+            faults=weak,
+        )
+        logs.append(log)
     paths = [write_log(log, folder / f"{log.name}.parquet") for log in logs]
     run(paths, detector, kept, Options(timeline=False))
     drift_report(kept)
