@@ -71,13 +71,18 @@ def concluded(log: Log, detector: Detector, block: Log, quality: Mapping[str, An
 
 
 def corrected(log: Log, samples: pl.DataFrame, verdict: Verdict, detector: Detector) -> Group | None:
-    """The isolated sensor's readings (the first one's of two), raw and corrected, at its own rate; None where
-    none was isolated."""
-    if verdict.signal is None:
+    """The isolated sensors' readings, raw and corrected, at the first one's rate (a second of another rate is
+    left out); None where none was isolated."""
+    hypotheses, rare = supposed(detector.recipe), rarer(detector.recipe)
+    signals = verdict.signal.split(PAIR) if verdict.signal else []
+    found = [accommodate(log, samples, signal, hypotheses, rare) for signal in signals]
+    groups = [g for g in found if g is not None]
+    if not groups:
         return None
-    return accommodate(
-        log, samples, verdict.signal.split(PAIR)[0], supposed(detector.recipe), rarer(detector.recipe)
-    )
+    first = groups[0]
+    alike = [g for g in groups if np.array_equal(g.time, first.time)]
+    frame = pl.concat([first.frame, *(g.frame.drop(TIME) for g in alike[1:])], how="horizontal")
+    return Group(first.name, frame, {name: s for g in alike for name, s in g.signals.items()})
 
 
 def supposed(recipe: Recipe) -> dict[str, Hypothesis]:

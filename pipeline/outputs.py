@@ -131,10 +131,10 @@ def annotated(diagnosis: Diagnosis) -> Log:
 
 
 def _corrected(diagnosis: Diagnosis) -> Group | None:
-    """The readings of the isolated sensor as a healthy one would have given them."""
-    group, signal = diagnosis.signals, diagnosis.verdict.signal
-    columns = [signal + CORRECTED, signal + CORRECTED_SD] if signal else []
-    if group is None or not set(columns) <= set(group.signals):
+    """The readings of the isolated sensors as healthy ones would have given them."""
+    group = diagnosis.signals
+    columns = [n for n in group.signals if n.endswith((CORRECTED, CORRECTED_SD))] if group else []
+    if group is None or not columns:
         return None
     return Group("corrected", group.frame.select(TIME, *columns), {c: group.signals[c] for c in columns})
 

@@ -10,7 +10,8 @@ from ingest.errors import LogError
 from ingest.log import Group, Log
 from pipeline import diagnose
 from pipeline.detector import Detector
-from stages.results import Diagnosis
+from pipeline.diagnosing import corrected
+from stages.results import Diagnosis, Verdict
 
 
 @pytest.fixture(scope="module")
@@ -79,3 +80,22 @@ def test_missing_signal(detector: Detector, faulty: Log) -> None:
     log = replace(faulty, groups={"g": Group("g", pl.DataFrame({"time": [0.0], "p_Boost": [1.0]}))})
     with pytest.raises(LogError, match="'faulty' has no signal 'p_"):
         diagnose(log, detector)
+
+
+def test_both_of_two_isolated_sensors_are_corrected(detector: Detector, healthy: list[Log]) -> None:
+    log, pair = healthy[0], "boost_pressure_gain+maf_gain"
+    samples = pl.DataFrame(
+        {
+            "time": [0.0],
+            "detection": [1],
+            f"p.{pair}": [0.9],
+            **{f"size.{pair}.{fault}": [0.25] for fault in pair.split("+")},
+            **{f"size_sd.{pair}.{fault}": [0.01] for fault in pair.split("+")},
+        }
+    )
+    verdict = Verdict(log=log.name, recipe="diesel_airpath", detector=None, fault=pair, signal="p_Bst+W_HFM")
+    group = corrected(log, samples, verdict, detector)
+    assert group is not None
+    for signal in ("p_Bst", "W_HFM"):
+        np.testing.assert_allclose(group.frame[f"{signal}.corrected"], log.values(signal) / 1.25)
+    assert corrected(log, samples, replace(verdict, signal=None), detector) is None
