@@ -126,10 +126,6 @@ def _added(part: Arrays, model: Gsmms, S: Array, y: Array, weight: Array) -> dic
             "size": np.array(float(size))}  # fmt: skip
 
 
-def _merged(blocks: list[Any]) -> list[Any]:
-    return [a + b for a, b in zip(blocks[::2], blocks[1::2], strict=True)]
-
-
 def _known(part: Mapping[str, Any], model: Gsmms, S: Array, weight: Array) -> dict[str, Any]:
     """The sums by region with further rows."""
     unit, M = model.partition.assign(S), len(model.theta)

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -155,10 +154,10 @@ class Window:
             novelty.append(self._stacked(found, UNFAMILIAR, 1)[:, :, 0])
         return self.trusted(familiarity(np.nan_to_num(novelty, nan=np.inf).min(axis=0), known_to))
 
-    def trusted(self, known: Array, **changed: Any) -> Window:
+    def trusted(self, known: Array) -> Window:
         """The same samples by a share ``known`` (rows, residuals) of their weight; what is computed is
         kept."""
-        other = replace(self, weight=self.weight * known, **changed)
+        other = replace(self, weight=self.weight * known)
         vars(other).update(
             {k: x for k, x in vars(self).items() if k in ("base", "plain", "computed", "_refined")}
         )

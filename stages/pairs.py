@@ -11,9 +11,8 @@ covariance of the two, and f* the best single fault,
 
 where least is ``penalty`` and ``least_share`` of what f* explains of the log as it is, and L_h that of the
 best single fault whose size changes once within the samples: one fault that grows or ends is not two. The
-probabilities are those of the stage before, with the pairs among the suppositions. Where
-a pair explains much, errors of the relations explain more, too: all evidence then counts
-``1 / (1 + model_error gain)``. Two faults at once are a requirement of section 1.1.
+probabilities are those of the stage before, with the pairs among the suppositions. Where a pair explains
+much, errors of the relations explain more, too: all evidence then counts ``1 / (1 + model_error gain)``. Two faults at once are a requirement of section 1.1.
 """
 
 from __future__ import annotations
@@ -46,8 +45,8 @@ NOTHING = Pair(-np.inf, -np.inf, 0.0, (np.nan, np.nan), (np.nan, np.nan))
 
 @dataclass(frozen=True, eq=False)
 class PairsState:
-    """The alarm's last samples looked at, how many there were, when to look again, the time of the log's
-    first row, of the last, and of the last one looked at, and what was found: pairs, and the rarer faults."""
+    """The alarm's last usable samples, how many there were, when to look again, the time of the log's first
+    row and of the last, and what was found: pairs, and the rarer faults."""
 
     samples: Mapping[str, Array] = field(default_factory=dict)
     count: int = 0

@@ -47,10 +47,8 @@ from stages.stage import ANALYSIS, Arrays, add_columns, columns
 Array = NDArray[np.float64]
 FAULTS = ("sensor_noise", "sensor_stuck")
 LEAST, MOST = 12.0, 120.0  # nats: evidence at the threshold, and at most
-STILL, COARSE_S = (
-    1e-7,
-    1.0,
-)  # relative change that is none; rest of a healthy signal that makes it a coarse one
+STILL = 1e-7  # relative change that is none
+COARSE_S = 1.0  # rest of a healthy signal that makes it a coarse one
 TIMES, RATES = 3.0, 1.5  # of the longest rest, and how far the log's rate may be from that learned
 
 
