@@ -12,7 +12,8 @@ covariance of the two, and f* the best single fault,
 where least is ``penalty`` and ``least_share`` of what f* explains of the log as it is, and L_h that of the
 best single fault whose size changes once within the samples: one fault that grows or ends is not two. The
 probabilities are those of the stage before, with the pairs among the suppositions. Where a pair explains
-much, errors of the relations explain more, too: all evidence then counts ``1 / (1 + model_error gain)``. Two faults at once are a requirement of section 1.1.
+much, errors of the relations explain more, too: all evidence then counts ``1 / (1 + model_error gain)``. Two
+faults at once are a requirement of section 1.1.
 """
 
 from __future__ import annotations
