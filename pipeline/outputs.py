@@ -146,10 +146,10 @@ def to_json(value: Any) -> str:
 
 def _group(name: str, frame: pl.DataFrame, diagnosis: Diagnosis, renamed: Mapping[str, str]) -> Group:
     signals = {}
-    for c in frame.columns[1:]:
+    for c, dtype in [*frame.schema.items()][1:]:
         kind, _, residual = c.partition(".")
         unit = diagnosis.units.get(residual) if f"{kind}." in (*MEASURED, SIGMA, MODEL_SD) else "1"
-        state = frame.schema[c].is_integer() or frame.schema[c] == pl.Boolean
+        state = dtype.is_integer() or dtype == pl.Boolean
         signals[renamed.get(c, c)] = Signal(
             name=renamed.get(c, c), unit=unit, kind="state" if state else "continuous",
             resample="hold" if state else "linear",

@@ -49,7 +49,7 @@ Array = NDArray[np.float64]
 QUANTILE = 1.645  # 95 % of a normal deviate lie below
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def evidence_of(L: Array, grid: Grid) -> tuple[Array, Array, Array]:  # pragma: no cover - compiled
     """Evidence of every fault, and last of ``unknown``; sizes and their standard deviations."""
     F, H = grid.points.shape[0], len(L) - 1
@@ -70,7 +70,7 @@ def evidence_of(L: Array, grid: Grid) -> tuple[Array, Array, Array]:  # pragma: 
     return evidence, size, size_sd
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def nearest(points: NDArray[np.int64], sizes: Array, size: float) -> int:  # pragma: no cover - compiled
     """The point of a fault at the size of the grid next to ``size``."""
     near = 0 if points[0] > 0 else 1
@@ -80,7 +80,7 @@ def nearest(points: NDArray[np.int64], sizes: Array, size: float) -> int:  # pra
     return int(points[near])
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def step_likelihoods(
     memory: Memory, settings: Settings, grid: Grid, age: float
 ) -> Array:  # pragma: no cover - compiled
@@ -108,7 +108,7 @@ def step_likelihoods(
     return log_likelihoods(sums, settings.unknown_sd, settings.unknown_sd)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def note_rest(memory: Memory) -> None:  # pragma: no cover - compiled
     """Keep the rest's sums once a second, in a ring that is longer than the greatest age of a step."""
     now = memory.clocks[RESTED]
@@ -118,7 +118,7 @@ def note_rest(memory: Memory) -> None:  # pragma: no cover - compiled
         memory.times[slot] = now
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def note_detectable(
     L: Array, threshold: Array, grid: Grid, detectable: Array
 ) -> None:  # pragma: no cover - compiled
@@ -140,7 +140,7 @@ def note_detectable(
                 detectable[f] = min(detectable[f], size)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def ends(memory: Memory, settings: Settings, grid: Grid) -> bool:  # pragma: no cover - compiled
     """Whether the fault is over; begins ``ended`` anew where it is not."""
     clocks, f = memory.clocks, int(memory.clocks[NAMED])
@@ -154,22 +154,24 @@ def ends(memory: Memory, settings: Settings, grid: Grid) -> bool:  # pragma: no 
     return bool(known and (over or clocks[EVIDENCE] <= 0.0))
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def shorten(memory: Memory, settings: Settings, grid: Grid) -> None:  # pragma: no cover - compiled
     """Let the episode be no longer than the memory over which the named fault's size is not that of
     before."""
     S, clocks, T = memory.S, memory.clocks, len(memory.S) - 2
     f = int(clocks[NAMED])
-    points = grid.points[f, : grid.counts[f]]
-    whole = np.max(log_likelihoods(S[T], settings.sd, settings.unknown_sd)[points])
+    at = np.append(grid.points[f, : grid.counts[f]], 0)  # the log as it is last
+    episode = S[T][:, :, at]
+    whole = np.max(log_likelihoods(episode, settings.sd, settings.sd)[:-1])
     gain, since = settings.change, 0
     for i in range(2, T):  # those that begin with the episode
         if settings.memories[i] < clocks[SINCE]:
-            L = log_likelihoods(S[i], settings.sd, settings.unknown_sd)
-            recent = np.max(L[points])
-            if recent - L[0] < settings.threshold[i, f]:  # no fault, or too little to say
+            sums = S[i][:, :, at]
+            L = log_likelihoods(sums, settings.sd, settings.sd)
+            recent = np.max(L[:-1])
+            if recent - L[-1] < settings.threshold[i, f]:  # no fault, or too little to say
                 continue
-            before = np.max(log_likelihoods(S[T] - S[i], settings.sd, settings.unknown_sd)[points])
+            before = np.max(log_likelihoods(episode - sums, settings.sd, settings.sd)[:-1])
             if recent + before - whole > gain:
                 gain, since = recent + before - whole, i
     if since > 0:
@@ -178,7 +180,7 @@ def shorten(memory: Memory, settings: Settings, grid: Grid) -> None:  # pragma: 
         clocks[SINCE] = settings.memories[since]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def decide(
     memory: Memory, settings: Settings, grid: Grid, elapsed: float
 ) -> None:  # pragma: no cover - compiled
@@ -228,7 +230,7 @@ def decide(
         clocks[ALARM] = begins
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def judge(memory: Memory, settings: Settings, grid: Grid) -> None:  # pragma: no cover - compiled
     """Evidence of the episode and the probabilities, in alarm."""
     clocks, T, F = memory.clocks, len(memory.S) - 2, grid.points.shape[0]
@@ -244,7 +246,7 @@ def judge(memory: Memory, settings: Settings, grid: Grid) -> None:  # pragma: no
     clocks[SIZE], clocks[EVIDENCE] = memory.size[int(clocks[NAMED])], np.max(evidence[:F])
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def follow(
     rows: Rows, grid: Grid, settings: Settings, memory: Memory
 ) -> tuple[Array, NDArray[np.int8], Array, Array, Array, Array, Array]:  # pragma: no cover - compiled

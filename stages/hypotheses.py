@@ -149,7 +149,8 @@ class Points:
         """Residuals, their spreads and the doubts of their relations, each (rows, residuals, points); and the
         least novelty that any point gives them, shape (rows, residuals)."""
         n, H, R = len(elapsed), self.count, len(self.residuals)
-        e, sigma, doubt, novelty = (np.empty((n, R, H)) for _ in range(4))
+        e, sigma, doubt = (np.empty((n, R, H)) for _ in range(3))
+        novelty = np.full((n, R), np.inf)
         step = max(1, CHUNK // H)
         for k in range(0, n, step):
             rows = slice(k, k + step)
@@ -166,9 +167,10 @@ class Points:
                     e[rows, r, place] = computed[RESIDUAL + name].T
                     sigma[rows, r, place] = computed[SIGMA + name].T
                     doubt[rows, r, place] = computed[MODEL_SD + name].T
-                    novelty[rows, r, place] = computed[UNFAMILIAR + name].T
-        doubt = np.hypot(doubt, self._inexact * (e - e[:, :, :1]))
-        return e, sigma, doubt, np.nan_to_num(novelty, nan=np.inf).min(axis=2)
+                    least = np.fmin.reduce(computed[UNFAMILIAR + name], axis=0)
+                    novelty[rows, r] = np.fmin(novelty[rows, r], least)
+        doubt = np.sqrt(doubt**2 + (self._inexact * (e - e[:, :, :1])) ** 2)
+        return e, sigma, doubt, novelty
 
     def as_it_is(self, values: Mapping[str, Array], elapsed: Array) -> dict[str, Array]:
         """The log's and the chain's columns, shape (1, rows)."""

@@ -38,13 +38,31 @@ A11, B1, Q, D, A12, A22, B2 = range(7)
 SUMS, PLAIN = 7, 4  # sums; those needed where there is one shape
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def tame(x: float, reach: float, mean: float) -> float:  # pragma: no cover - compiled
     """``x``, held within ``reach`` of what lies between zero and ``mean``."""
     return min(max(x, min(mean, 0.0) - reach), max(mean, 0.0) + reach)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
+def add_point(
+    S: Array, p: int, x: float, s: float, ln_s: float, off: float, h1: float, h2: float, weight: float
+) -> None:  # pragma: no cover - compiled
+    """Add a residual ``x`` of spread ``s`` and doubt ``off`` to the sums of point ``p``, unless one is
+    missing. Without branches, so that several points are taken at a time."""
+    known = not (np.isnan(x) or np.isnan(s))
+    w = weight / (s * s) if known else 0.0
+    x, off, ln_s = (x, off, ln_s) if known else (0.0, 0.0, 0.0)
+    S[A11, p] += w * h1 * h1
+    S[B1, p] += w * h1 * x
+    S[Q, p] += w * x * x + 2.0 * weight * ln_s
+    S[D, p] += w * h1 * h1 * off * off
+    S[A12, p] += w * h1 * h2
+    S[A22, p] += w * h2 * h2
+    S[B2, p] += w * h2 * x
+
+
+@njit(cache=True, error_model="numpy")
 def add_sample(
     S: Array,
     row: tuple[Array, Array, Array, Array],
@@ -66,31 +84,20 @@ def add_sample(
     for r in range(S.shape[0]):
         if np.isnan(e[r, 0]) or np.isnan(sigma[r, 0]):  # the log as it is cannot be compared
             continue
-        h1, h2, weight = shapes[r, 0], shapes[r, 1], weights[r]
-        for p in range(P + 1):
-            a, b, share = (grid.left[p], grid.right[p], grid.share[p]) if p < P else (0, 0, 0.0)
+        h1, h2, weight, sums = shapes[r, 0], shapes[r, 1], weights[r], S[r]
+        for p in range(P):
+            a, b, share = grid.left[p], grid.right[p], grid.share[p]
             x = (1.0 - share) * e[r, a] + share * e[r, b]
             s = (1.0 - share) * sigma[r, a] + share * sigma[r, b]
-            if np.isnan(x) or np.isnan(s):
-                continue
-            if p < P and abs(x) > clip * s:
-                mean = (
-                    short[r, B1, p] / short[r, A11, p] * seen / (seen + 1.0) if short[r, A11, p] > 0 else 0.0
-                )
-                x = tame(x, clip * s, mean)
+            mean = short[r, B1, p] / max(short[r, A11, p], 1e-300) * seen / (seen + 1.0)
+            x = tame(x, clip * s, mean)
             off = (1.0 - share) * doubt[r, a] + share * doubt[r, b]
-            w = weight / (s * s)
-            S[r, A11, p] += w * h1 * h1
-            S[r, B1, p] += w * h1 * x
-            S[r, Q, p] += w * x * x + 2.0 * weight * ((1.0 - share) * ln_sigma[r, a] + share * ln_sigma[r, b])
-            S[r, D, p] += w * h1 * h1 * off * off
-            if h2 != 0.0:
-                S[r, A12, p] += w * h1 * h2
-                S[r, A22, p] += w * h2 * h2
-                S[r, B2, p] += w * h2 * x
+            ln_s = (1.0 - share) * ln_sigma[r, a] + share * ln_sigma[r, b]
+            add_point(sums, p, x, s, ln_s, off, h1, h2, weight)
+        add_point(sums, P, e[r, 0], sigma[r, 0], ln_sigma[r, 0], doubt[r, 0], h1, h2, weight)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def fade(S: Array, kept: float, fresh: Array, two: NDArray[np.bool_]) -> None:  # pragma: no cover - compiled
     """``S = kept S + fresh``, in place; ``two``: the residuals (residuals,) that have two shapes."""
     for r in range(S.shape[0]):
@@ -99,7 +106,7 @@ def fade(S: Array, kept: float, fresh: Array, two: NDArray[np.bool_]) -> None:  
                 S[r, k, p] = kept * S[r, k, p] + fresh[r, k, p]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def log_likelihoods(S: Array, sd: Array, unknown_sd: Array) -> Array:  # pragma: no cover - compiled
     """L of every point, the last with offsets of ``unknown_sd``; ``S`` (residuals, SUMS, points), ``sd`` and
     ``unknown_sd`` (residuals, 2), a standard deviation 0 where there is no shape.
@@ -129,7 +136,7 @@ def log_likelihoods(S: Array, sd: Array, unknown_sd: Array) -> Array:  # pragma:
     return L
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def peak(x: Array, L: Array) -> tuple[float, float, float]:  # pragma: no cover - compiled
     """Place, height and standard deviation of the maximum of a log-likelihood on an even grid around it.
 

@@ -82,7 +82,7 @@ class Memory(NamedTuple):
     size_sd: Array
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def settle(memory: Memory, settings: Settings) -> None:  # pragma: no cover - compiled
     """Let all sums fade by the time that has passed, and add the fresh ones."""
     passed, two = memory.clocks[FADED], settings.sd[:, 1] > 0
@@ -94,7 +94,7 @@ def settle(memory: Memory, settings: Settings) -> None:  # pragma: no cover - co
     memory.clocks[FADED] = 0.0
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def remember(
     memory: Memory, settings: Settings, grid: Grid, rows: Rows, k: int, row: int
 ) -> None:  # pragma: no cover - compiled

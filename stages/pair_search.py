@@ -176,7 +176,8 @@ class Window:
         found = self._undone(i, j, sizes)
         e, sigma, doubt = (self._stacked(found, kind, len(sizes)) for kind in (RESIDUAL, SIGMA, MODEL_SD))
         inexact = max(self.points.hypotheses[k].inexact for k in (i, j))
-        return self.likelihood(e, sigma, np.hypot(doubt, inexact * (e - self.plain[:, :, None])))
+        doubt = np.sqrt(doubt**2 + (inexact * (e - self.plain[:, :, None])) ** 2)
+        return self.likelihood(e, sigma, doubt)
 
     def refined(self, i: int, j: int, start: Pair | tuple[float, float], steps: int) -> Pair:
         """The pair near ``start`` that is most likely, by Newton's steps on differences."""

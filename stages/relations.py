@@ -285,7 +285,7 @@ class Relations:
 
     def compute(self, values: Values, wanted: Set[str] | None = None) -> dict[str, NDArray[Any]]:
         added: dict[str, NDArray[Any]] = {}
-        everywhere = values.get(self.regime + NOVELTY, np.empty(0))
+        everywhere, regime = values.get(self.regime + NOVELTY, np.empty(0)), None
         if wanted is None or REGIME in wanted:
             regime = _evaluated(self.models[self.regime], self.inputs(self.regime), values)
             added[REGIME], everywhere = regime.unit, regime.novelty
@@ -295,7 +295,8 @@ class Relations:
                 continue
             scope = {**values, **added}
             model = self.models.get(name)
-            predicted, doubt, novelty = _predicted(relation, model, self.inputs(name), scope)
+            known = regime if name == self.regime else None
+            predicted, doubt, novelty = _predicted(relation, model, self.inputs(name), scope, known)
             bend = (model.bend if model else 0.0) * np.minimum(novelty, FAR) ** 2
             novelty = np.maximum(novelty, everywhere)
             doubt = self.doubt * doubt * np.clip(novelty, 1.0, FAR) ** 2
@@ -306,14 +307,18 @@ class Relations:
 
 
 def _predicted(
-    relation: Relation, model: Gsmms | None, inputs: Sequence[str], values: Values
+    relation: Relation,
+    model: Gsmms | None,
+    inputs: Sequence[str],
+    values: Values,
+    known: Evaluation | None = None,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Prediction, doubt and novelty; 0 where the relation does not hold, and where it never held in training
-    infinitely novel."""
+    """Prediction, doubt and novelty, from what the model says if that is ``known``; 0 where the relation does
+    not hold, and where it never held in training infinitely novel."""
     holds = relation.holds(values)
     if model is None:
         return np.zeros(holds.shape), np.zeros(holds.shape), np.where(holds, np.inf, 0.0)
-    found = _evaluated(model, inputs, values)
+    found = known or _evaluated(model, inputs, values)
     return (
         np.where(holds, found.prediction, 0.0),
         np.where(holds, found.doubt, 0.0),

@@ -140,13 +140,15 @@ class Residuals:
                 continue
             e = formula(values)
             e = np.broadcast_to(e, np.broadcast_shapes(e.shape, unit.shape))
-            doubt = _model_sd(formula, values, e)
-            sigma = np.hypot(table[i, unit] / np.sqrt(self._weight(name, values)), doubt)
+            doubt = _model_variance(formula, values, e)
+            sigma = np.sqrt(table[i, unit] ** 2 / self._weight(name, values) + doubt)
             novelty = [values[n + NOVELTY] for n in formula.names if n + NOVELTY in values]
             added |= {
-                RESIDUAL + name: e, MODEL_SD + name: doubt, SIGMA + name: sigma, Z + name: e / sigma,
+                RESIDUAL + name: e, MODEL_SD + name: np.sqrt(doubt), SIGMA + name: sigma,
                 UNFAMILIAR + name: reduce(np.maximum, novelty, np.zeros_like(e)),
             }  # fmt: skip
+            if wanted is None or Z + name in wanted:
+                added[Z + name] = e / sigma
         return added
 
     def _weight(self, name: str, values: Mapping[str, NDArray[np.float64]]) -> NDArray[np.float64]:
@@ -157,15 +159,15 @@ class Residuals:
         return np.asarray(np.maximum(np.nan_to_num(weight, nan=MIN_GATE), MIN_GATE))
 
 
-def _model_sd(
+def _model_variance(
     formula: Formula, values: Mapping[str, NDArray[np.float64]], e: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Standard deviation that the relations' own doubts give a residual, shape of ``e``."""
+    """Variance that the relations' own doubts give a residual, shape of ``e``."""
     square = np.zeros_like(e)
     for name in formula.names:
         if name + SD in values:
             square = square + (formula({**values, name: values[name] + values[name + SD]}) - e) ** 2
-    return np.sqrt(square)
+    return square
 
 
 def residual_names(block: Log) -> list[str]:
