@@ -40,6 +40,7 @@ from stages.stage import Stage, transform
 
 Sections = tuple[Sequence[Stage], Sequence[Stage], Sequence[Stage]]
 SEED = 60000
+SETS = 8  # of training drives, for `domain`
 CYCLES = ("wltc_3b", "udds", "ftp75", "us06", "hwfet")
 FAULTS = (
     ("maf_gain", 0.05), ("maf_gain", -0.05), ("boost_pressure_gain", 0.02), ("intake_pressure_gain", 0.02),
@@ -65,29 +66,36 @@ def recipe_with(nodes: int) -> Recipe:
 
 
 def domain(seeds: int) -> None:
-    print("\ntrained on 3 UDDS, calibrated on 3 more, tested on US06")
+    print(f"\n{SETS} times trained on 3 UDDS, calibrated on 3 more, tested on US06")
     recipe = load_recipe("diesel_airpath")
-    training = [drive("udds", SEED + i) for i in range(3)]
-    calibrate = [drive("udds", SEED + 10 + i) for i in range(3)]
-    before = fit(training, recipe, calibrate)
-    added = [drive("us06", SEED + 20 + i) for i in range(2)]
-    after = challenge([*training, *added], recipe, before, calibrate)
-    warm = continue_champion(before, added)
-    for title, detector in (("UDDS alone", before), ("two US06 added", after), ("the same, warm", warm)):
-        healthy = [diagnose(drive("us06", SEED + 100 + i), detector) for i in range(4 * seeds)]
-        alarms = sum(d.verdict.fault not in ("none", "insufficient_evidence") for d in healthy)
-        inside = np.mean([float(d.samples["in_domain"].mean()) for d in healthy])  # type: ignore[arg-type]
-        print(
-            f"  {title}: healthy drives with an alarm {alarms}/{len(healthy)}, {100 * inside:.0f} % in domain"
-        )
+    titles = ("UDDS alone", "two US06 added", "the same, warm")
+    alarms, inside = {t: [0] * SETS for t in titles}, {t: [0.0] * SETS for t in titles}
+    found = {(t, fault): [0, 0] for t in titles for fault in FAULTS}
+    for s in range(SETS):
+        base = SEED + 10_000 + 500 * s
+        training = [drive("udds", base + i) for i in range(3)]
+        calibrate = [drive("udds", base + 10 + i) for i in range(3)]
+        added = [drive("us06", base + 20 + i) for i in range(2)]
+        before = fit(training, recipe, calibrate)
+        after = challenge([*training, *added], recipe, before, calibrate)
+        healthy = [drive("us06", base + 100 + i) for i in range(4 * seeds)]
+        faulty = [(f, drive("us06", base + 200 + i, f)) for f in FAULTS for i in range(seeds)]
+        for title, detector in zip(titles, (before, after, continue_champion(before, added)), strict=True):
+            said = [diagnose(log, detector) for log in healthy]
+            alarms[title][s] = sum(d.verdict.fault not in ("none", "insufficient_evidence") for d in said)
+            inside[title][s] = float(np.mean([d.samples["in_domain"].mean() for d in said]))  # type: ignore[arg-type]
+            for fault, log in faulty:
+                verdict = diagnose(log, detector).verdict
+                found[title, fault][0] += verdict.detected_s is not None
+                found[title, fault][1] += verdict.fault == fault[0]
+    for title in titles:
+        by_set = ", ".join(map(str, alarms[title]))
+        print(f"  {title}: healthy drives with an alarm {sum(alarms[title])}/{4 * seeds * SETS} "
+              f"(by training set {by_set}), {100 * np.mean(inside[title]):.0f} % in domain")  # fmt: skip
         for fault in FAULTS:
-            found = [diagnose(drive("us06", SEED + 200 + i, fault), detector).verdict for i in range(seeds)]
-            seen = sum(v.detected_s is not None for v in found)
-            right = sum(v.fault == fault[0] for v in found)
-            print(
-                f"    {fault[0]:22s}{fault[1]:+6g}  detected {seen}/{seeds}, named {right}/{seeds}",
-                flush=True,
-            )
+            seen, right = found[title, fault]
+            n = seeds * SETS
+            print(f"    {fault[0]:22s}{fault[1]:+6g}  detected {seen}/{n}, named {right}/{n}")
 
 
 def poison(seeds: int) -> None:

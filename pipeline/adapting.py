@@ -20,6 +20,7 @@ from stages.isolate import Isolate
 from stages.poison import LEAST, Drives
 from stages.relations import NOVELTY, REGIME, Relations
 from stages.stage import ANALYSIS, add_columns, columns, transform
+from stages.witness import contradiction, swear_in
 
 Array = NDArray[np.float64]
 COMMISSIONING = 10  # drives
@@ -128,13 +129,14 @@ def adapt(
     settings = settings or Settings()
     _, seen = follow(state, later, shift[commissioning:], observer.wears, settings)
     names = [*detector.recipe.wear]
+    denied = denials(detector, blocks, commissioning, np.array([s.wear for s in seen]))
     rows = [
         {
-            "log": log.name, "T": s.T, "alarm": s.alarm, "learned": s.learned,
+            "log": log.name, "T": s.T, "alarm": s.alarm, "learned": s.learned, "denial": z,
             "faults": _named(observer, s.faults),
             "wear": {n: {"value": v, "sd": sd} for n, v, sd in zip(names, s.wear, s.wear_sd, strict=True)},
         }
-        for log, s in zip(logs[commissioning:], seen, strict=True)
+        for log, s, z in zip(logs[commissioning:], seen, denied, strict=True)
     ]  # fmt: skip
     budgets = {
         n: {"per_100_drives": w.per_100, "total": w.total, "unit": w.unit}
@@ -145,6 +147,20 @@ def adapt(
         "vehicle": ", ".join(vehicles) or None, "detector": detector.key, "commissioning": commissioning,
         "threshold": settings.threshold, "budgets": budgets, "drives": rows,
     }  # fmt: skip
+
+
+def denials(
+    detector: Detector, blocks: Sequence[Log], commissioning: int, levels: Array
+) -> list[float] | list[None]:
+    """How far the recipe's witness contradicts the wear ``levels`` (drives, wears) after the commissioning,
+    in standard deviations; None each without a witness, or where the logs lack its signals."""
+    witness, values = detector.recipe.witness, [columns(block) for block in blocks]
+    sworn = swear_in(witness, values[:commissioning]) if witness else None
+    if witness is None or sworn is None:
+        return [None] * len(levels)
+    left = np.array([sworn.mean(v) for v in values[commissioning:]])
+    expected = levels @ [witness.wear.get(name, 0.0) for name in detector.recipe.wear]
+    return [float(z) for z in contradiction(left, expected, sworn.sd, sworn.drives, witness.inexact)]
 
 
 def _named(observer: Observer, faults: Mapping[int, float]) -> dict[str, float]:

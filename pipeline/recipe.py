@@ -35,6 +35,7 @@ from stages import STAGES
 from stages.adapt import Wear
 from stages.align import Align
 from stages.stage import Stage
+from stages.witness import Witness
 
 STAGE_PARTS = ("version", "needs", "adds", "start", "step")
 
@@ -50,6 +51,7 @@ class Recipe:
     outputs: tuple[str, ...] = ()
     inputs: tuple[str, ...] = ()
     wear: Mapping[str, Wear] = field(default_factory=dict)
+    witness: Witness | None = None  # of wear
     stages: tuple[Stage, ...]
     uses: tuple[str, ...]
     template: tuple[Mapping[str, Any], ...] = ()  # stages in terms of outputs and inputs
@@ -74,6 +76,7 @@ class Recipe:
         return {
             "title": self.title, "min_evidence_s": self.min_evidence_s, "channels": dict(self.channels),
             **named, **({"wear": {k: settings(w) for k, w in self.wear.items()}} if self.wear else {}),
+            **({"witness": settings(self.witness)} if self.witness else {}),
             "stage": list(self.template) or stages,
         }  # fmt: skip
 

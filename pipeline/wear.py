@@ -12,6 +12,7 @@ import numpy as np
 from ingest.errors import LogError
 from pipeline.files import write_aside
 from pipeline.summary import SUMMARY
+from stages.witness import LIMIT
 
 if TYPE_CHECKING:
     from viz.wear import Worn
@@ -94,7 +95,14 @@ def _worn(vehicle: str, report: Mapping[str, Any]) -> Worn:
         vehicle=vehicle, reference=report["commissioning"], logs=tuple(d["log"] for d in drives), kinds=kinds,
         evidence=np.array([d["T"] for d in drives], dtype=float), threshold=report["threshold"],
         state=tuple(state_of(d) for d in drives), faults=tuple(faults_of(d) for d in drives),
+        denied=denied(drives[-1]),
     )  # fmt: skip
+
+
+def denied(drive: Mapping[str, Any]) -> float | None:
+    """By how many standard deviations the recipe's witness denies the wear after a log, if it does."""
+    z = drive["denial"]
+    return z if z is not None and z > LIMIT else None
 
 
 def state_of(drive: Mapping[str, Any]) -> str:

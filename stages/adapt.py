@@ -20,7 +20,8 @@ Two drives in a row with T above ``threshold`` are an alarm; the fault is the be
 which of them it is cannot be known. The wear itself is followed by a Kalman filter (levels and rates, fed
 with the drives' own G and h, and kept within the bounds), which is the adaptive part: reference + S_w x. It
 rests while T is above ``threshold``, and goes on after three drives below half of that; it never stops for
-good.
+good. Nor is a drive learned from that has such evidence by itself, beside the wear that the drives before it
+show: a memory of many drives dilutes what begins in one.
 
 A region (or its surroundings beyond the trained domain) that the commissioning has not seen joins the
 reference once it has 18 independent samples, from drives with T below half the threshold only.
@@ -32,6 +33,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from ingest.errors import RecipeError
@@ -156,15 +158,17 @@ def _one(
     r = (drives.mean[k] - ref.centre).reshape(-1)
     G, h = S @ V @ S.T, S @ V @ r
     keep = np.exp(-1 / settings.memory)
+    top = _bounds(wears, state.drives + 1, settings.slack)
+    usual = _least(state.G[:W, :W], state.h[:W], top)[1]
     state = replace(state, G=keep * state.G + G, h=keep * state.h + h, drives=state.drives + 1)
-    top = _bounds(wears, state.drives, settings.slack)
     T, faults, alone = _evidence(state.G, state.h, W, top, settings.near)
     above = state.above + 1 if settings.threshold < T else 0
     calm = state.calm + 1 if 0.5 * settings.threshold > T else 0 if settings.threshold < T else state.calm
-    learned = calm >= RESUME and settings.threshold >= T
+    most = max(T, _alone(G, h, usual))
+    learned = calm >= RESUME and settings.threshold >= most
     state = replace(state, above=above, calm=calm)
     state = _filtered(state, G[:W, :W], h[:W], wears, top, settings, update=learned)
-    if 0.5 * settings.threshold > T:
+    if 0.5 * settings.threshold > most:
         state = _grown(state, drives, k, wear_shift)
     alarm = above >= 2
     levels = tuple(float(v) for v in state.x[:W])
@@ -201,17 +205,34 @@ def _evidence(
     return best, named, beside
 
 
-def _least(G: Array, h: Array, top: Array) -> tuple[float, Array]:
+def _alone(G: Array, h: Array, usual: Array) -> float:
+    """The evidence for a fault in one drive, whose wear is the ``usual`` one (wears,)."""
+    W = len(usual)
+    left, own = h[W:] - G[W:, :W] @ usual, np.diag(G)[W:]
+    return float(np.max(np.maximum(left, 0.0) ** 2 / np.maximum(own, 1e-12), initial=0.0))
+
+
+@njit(cache=True)
+def _least(G: Array, h: Array, top: Array) -> tuple[float, Array]:  # pragma: no cover - compiled
     """The least J with 0 <= z <= top, by coordinate descent, and where."""
-    z = np.zeros(len(h))
+    z, moved = np.zeros(len(h)), True
     for _ in range(PASSES):
-        before = z.copy()
+        if not moved:
+            break
+        moved = False
         for i in range(len(h)):
             if G[i, i] > 1e-12:
-                z[i] = min(max((h[i] - G[i] @ z + G[i, i] * z[i]) / G[i, i], 0.0), top[i])
-        if np.allclose(z, before, rtol=1e-6, atol=1e-12):
-            break
-    return float(z @ G @ z - 2 * h @ z), z
+                before, left = z[i], h[i] + G[i, i] * z[i]
+                for j in range(len(h)):
+                    left -= G[i, j] * z[j]
+                z[i] = min(max(left / G[i, i], 0.0), top[i])
+                moved = moved or abs(z[i] - before) > 1e-12 + 1e-6 * abs(before)
+    cost = 0.0
+    for i in range(len(h)):
+        cost -= 2 * h[i] * z[i]
+        for j in range(len(h)):
+            cost += G[i, j] * z[i] * z[j]
+    return cost, z
 
 
 def _filtered(

@@ -35,6 +35,7 @@ from stages.partition import CHUNK, Growth, Partition, grow
 
 BLOCKS = 20
 WIDTH_ROWS = 40_000  # of more rows every n-th chooses the width
+INSIDE = 0.995  # share of the samples in the domain: a region with outliers must not widen all others'
 Array = NDArray[np.float64]
 Combination = Literal["hard", "blended"]
 
@@ -259,7 +260,8 @@ def features(S: Array, nodes: Array, width: float) -> Array:
 
 
 def _domain(partition: Partition, S: Array, weight: Array) -> tuple[Array, Array, float]:
-    """Mean and whitening of each region's samples, and the 99.9 % quantile of the whitened distance."""
+    """Mean and whitening of each region's samples, and the whitened distance within which ``INSIDE`` of all
+    are."""
     unit, M = partition.assign(S), len(partition.nodes)
     mass = np.asarray(np.bincount(unit, weight, minlength=M), dtype=float)
     first = np.array([np.bincount(unit, weight * s, minlength=M) for s in S.T], dtype=float).T
@@ -268,7 +270,7 @@ def _domain(partition: Partition, S: Array, weight: Array) -> tuple[Array, Array
     away = np.sqrt((np.einsum("nij,nj->ni", whiten[unit], S - mean[unit]) ** 2).sum(axis=1))
     order = np.argsort(away)
     total = np.cumsum(weight[order])
-    return mean, whiten, float(away[order][np.searchsorted(total, 0.999 * total[-1])])
+    return mean, whiten, float(away[order][np.searchsorted(total, INSIDE * total[-1])])
 
 
 def region_spread(nodes: Array, mass: Array, first: Array, second: Array) -> tuple[Array, Array]:

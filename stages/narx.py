@@ -43,7 +43,7 @@ class Narx:
         LogError: nothing was selected for an output, or there are too few complete samples.
     """
 
-    version: ClassVar[str] = "1"
+    version: ClassVar[str] = "2"
     learns_from: ClassVar[Literal["training"]] = "training"
     models: Mapping[str, str]
     regime: str

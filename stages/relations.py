@@ -162,7 +162,7 @@ class Relations:
         LogError: the training logs hold too few complete samples.
     """
 
-    version: ClassVar[str] = "4"
+    version: ClassVar[str] = "5"
     learns_from: ClassVar[Literal["training"]] = "training"
     relations: Mapping[str, Relation]
     regime: str

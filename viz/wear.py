@@ -49,8 +49,9 @@ class Kind:
 @dataclass(frozen=True, kw_only=True)
 class Worn:
     """What was found of a vehicle's ``logs``, which follow ``reference`` fault-free ones: the ``state`` of
-    each (one of :data:`STATES`), the ``evidence`` for a fault beyond any wear and its ``threshold``, and the
-    ``faults`` of each in words, empty where there are none."""
+    each (one of :data:`STATES`), the ``evidence`` for a fault beyond any wear and its ``threshold``, the
+    ``faults`` of each in words, empty where there are none, and by how many standard deviations the wear in
+    the end is ``denied``, if it is."""
 
     vehicle: str
     reference: int
@@ -60,6 +61,7 @@ class Worn:
     threshold: float
     state: tuple[str, ...]
     faults: tuple[str, ...]
+    denied: float | None = None
 
     def words(self) -> list[str]:
         """The wear in the end, and what is no wear, in sentences."""
@@ -77,6 +79,11 @@ class Worn:
             told.append("no fault beyond the wear")
         if self.faults[-1] and not alarms:
             told.append(f"what explains the last logs as well as wear does: {self.faults[-1]}")
+        if self.denied is not None:
+            told.append(
+                f"this wear does not show where it must ({self.denied:.1f} standard deviations): "
+                "a fault that looks like it is likelier"
+            )
         return told
 
 

@@ -34,7 +34,7 @@ def run(args: argparse.Namespace) -> int:
     from pipeline.console import Problems, print_json, print_table, progress, talk
     from pipeline.recipe import load_recipe
     from pipeline.store import Store
-    from pipeline.wear import check_batch, faults_of, keep_wear, state_of
+    from pipeline.wear import check_batch, denied, faults_of, keep_wear, state_of
 
     problems = Problems()
     with problems:
@@ -61,6 +61,9 @@ def run(args: argparse.Namespace) -> int:
         state = {"learned from": None}.get(state_of(d), state_of(d))
         rows.append({"log": d["log"], "evidence": d["T"], "": state, "faults": faults_of(d), **wear})
     print_table(rows, {k: k for k in rows[0]})
+    if (z := denied(report["drives"][-1])) is not None:
+        print(f"this wear does not show where it must ({z:.1f} standard deviations): "
+              "a fault that looks like it is likelier")  # fmt: skip
     for name, b in report["budgets"].items():
         unit = "" if b["unit"] == "1" else f" {b['unit']}"
         print(f"budget of {name}: {b['per_100_drives']:g}{unit} in 100 drives, {b['total']:g}{unit} in all; "

@@ -41,6 +41,7 @@ def test_a_fault_is_told_from_wear(drives: list[Log], detector: Detector) -> Non
     assert not rows[-1]["learned"]
     assert report["budgets"]["restriction"] == {"per_100_drives": 0.2, "total": 0.6, "unit": "1"}
     assert set(rows[0]["wear"]) == {"volumetric_efficiency", "restriction"}
+    assert all(isinstance(r["denial"], float) for r in rows)
     json.dumps(report)
 
 
@@ -48,6 +49,24 @@ def test_healthy_drives_are_quiet(drives: list[Log], detector: Detector) -> None
     rows = adapt(drives[:6] + drives[:3], detector, commissioning=6)["drives"]
     assert not any(r["alarm"] for r in rows)
     assert all(r["learned"] for r in rows)
+
+
+def test_without_the_witness_signals_nothing_is_denied(drives: list[Log], detector: Detector) -> None:
+    deaf = [
+        replace(
+            log,
+            groups={
+                k: replace(
+                    g,
+                    frame=g.frame.drop("u_Vnt", strict=False),
+                    signals={n: s for n, s in g.signals.items() if n != "u_Vnt"},
+                )
+                for k, g in log.groups.items()
+            },
+        )
+        for log in drives[:6]
+    ]
+    assert [r["denial"] for r in adapt(deaf, detector, commissioning=5)["drives"]] == [None]
 
 
 def test_what_cannot_be_followed(drives: list[Log], detector: Detector) -> None:

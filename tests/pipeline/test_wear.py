@@ -25,7 +25,7 @@ def adapted(vehicle: str | None = "van", alarms: int = 2) -> dict[str, Any]:
         {
             "log": f"d{i}", "T": 100.0 if i >= LOGS - alarms else 4.0, "alarm": i >= LOGS - alarms,
             "learned": i < LOGS - alarms, "faults": {"maf_gain": -0.08} if i >= LOGS - alarms else {},
-            "wear": {"restriction": {"value": 0.001 * i, "sd": 0.0005}},
+            "denial": -0.5, "wear": {"restriction": {"value": 0.001 * i, "sd": 0.0005}},
         }
         for i in range(LOGS)
     ]  # fmt: skip
@@ -67,6 +67,15 @@ def test_vehicles_stand_beside_each_other_and_a_later_report_takes_the_place(out
     assert (
         "evidence of a fault in d11; in a second log in a row it is an alarm" in wear_of_batch(out)[0].words()
     )
+
+
+def test_wear_that_does_not_show_where_it_must_is_said(out: Path) -> None:
+    for z, said in ((1.0, False), (None, False), (3.21, True)):
+        report = adapted("van", 0)
+        report["drives"][-1]["denial"] = z
+        keep_wear(out, report)
+        words = " ".join(wear_of_batch(out)[0].words())
+        assert ("does not show where it must (3.2 standard deviations)" in words) == said
 
 
 def test_the_overview_draws_every_log_at_its_number(out: Path, tmp_path: Path) -> None:

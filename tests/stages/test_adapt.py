@@ -105,6 +105,16 @@ def test_learning_rests_and_goes_on() -> None:
     assert seen[-1].wear[0] == pytest.approx(0.05, rel=0.2)
 
 
+def test_what_begins_in_one_drive_is_not_learned_from_it() -> None:
+    """A fault like wear, there in one drive only: ten drives together have little evidence of it."""
+    shapes = np.concatenate([SHAPES[:2], WEAR_SHAPES[:1] * 0.02])
+    for size, learned in ((0.0, True), (2.0, False)):
+        _, seen = watched(*vehicle(6, fault=2, size=np.where(np.arange(N) == 60, size, 0.0), shapes=shapes))
+        assert seen[60 - BEGIN].learned == learned
+        assert not seen[60 - BEGIN].alarm
+        assert all(s.learned for s in seen[62 - BEGIN :])
+
+
 def test_new_regions_join_only_without_evidence() -> None:
     drives, shift = vehicle(4)
     count = drives.count.copy()
