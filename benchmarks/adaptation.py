@@ -24,7 +24,7 @@ from pipeline.fitting import fit
 from pipeline.recipe import load_recipe
 from stages.adapt import Seen, Settings, commission, follow
 from stages.forget import forgotten
-from stages.poison import Drives
+from stages.poison import Drives, inverse, spread_of
 from stages.stage import columns
 from stages.witness import LIMIT, Sworn, contradiction, swear_in
 
@@ -82,15 +82,22 @@ def library(bases: int, seed: int) -> tuple[Observer, Sworn, Changes]:
 
 
 def sizes(observer: Observer, found: Changes) -> dict[str, float]:
-    """How large each full wear is in its own unit: what it changes in the residual, per unit of the wear. At
-    small flows the pressure loss grows with the root of what it grows with at large ones."""
+    """How large each full wear is in its own unit: what fits best to its change of the residuals, by the
+    observer's weights. At small flows the pressure loss grows less than at large ones, so it is not one
+    number."""
     healthy, unit, _ = found["healthy"]
+    spread = spread_of(vehicle(found, {}, np.random.default_rng(0))[0], np.arange(BEGIN))
     out = {}
-    for j, (name, residual) in enumerate((("volumetric_efficiency", 0), ("restriction", 1))):
-        worn = found[name][0]
-        weight = np.minimum(healthy.count[:, residual], worn.count[:, residual])
-        x, y = unit[:, j, residual], (worn.mean - healthy.mean)[:, residual]
-        out[name] = float((weight * x * y).sum() / (weight * x * x).sum())
+    for j, (name, wear) in enumerate(observer.detector.recipe.wear.items()):
+        worn, size = found[name][0], wear.per_100
+        count = np.where(worn.count > 0, healthy.count, 0.0)
+        y = np.where(count > 0, worn.mean - healthy.mean, 0.0)
+        gained = known = 0.0
+        for k in range(len(healthy)):
+            wrong = Settings().memory * (wear.inexact * size * unit[k, j]) ** 2
+            V, S = inverse(count[k], healthy.noise, spread, wrong, 1.0), unit[k, j].ravel()
+            gained, known = gained + S @ V @ y[k].ravel(), known + S @ V @ S
+        out[name] = float(gained / known)
     return out
 
 
