@@ -35,8 +35,8 @@ Array = NDArray[np.float64]
 RESAMPLINGS = 200  # of the calibration logs
 LEAST_H = 0.01  # weighted time in a regime below which a log says nothing of it
 POOLED = 6  # rows that decide
-# by kind of row: more is better, what nobody would call a difference, the loss that is accepted. Evidence goes
-# with the square of offsets that were learned from few calibration drives: a factor of two says nothing.
+# by kind of row: more is better, what nobody would call a difference, the loss that is accepted. Evidence
+# goes with the square of offsets that were learned from few calibration drives: a factor of two says nothing.
 FALSE = "false alarms per h"
 KINDS: dict[str, tuple[bool, float, float]] = {
     FALSE: (False, 0.0, 0.1),
