@@ -107,7 +107,7 @@ class Group:
         schema = frame.schema
         if frame.columns != order or schema[TIME] != pl.Float64:
             frame = frame.select(pl.col(TIME).cast(pl.Float64), *order[1:])
-        nans = frame.select(pl.col(c).is_nan().any() for c in order[1:] if schema[c].is_float())
+        nans = frame.select(pl.col([c for c in order[1:] if schema[c].is_float()]).is_nan().any())
         if holed := [s.name for s in nans if s.item()]:
             frame = frame.with_columns(pl.col(holed).fill_nan(None))
         if bad := int(np.isnan(frame[TIME].to_numpy()).sum()):

@@ -13,7 +13,7 @@ their own spread, as that of all drives takes faults for tolerances.
 
 A least trimmed fit (Rousseeuw 1984; concentration steps after Rousseeuw and Van Driessen 1999) finds the 60 %
 of the drives with the likeliest levels and slopes. That set then grows drive by drive (a forward search,
-Atkinson and Riani 2000), always by the one with the least evidence for a fault,
+Atkinson and Riani 2000), always by the one (of many a twentieth) with the least evidence for a fault,
 
     T_k = max_f h^2 / G,   h = S' V^-1 (r - c),   G = S' V^-1 S,
 
@@ -29,6 +29,7 @@ fewer than ``LEAST`` drives.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,6 +55,22 @@ class Drives:
 
     def __len__(self) -> int:
         return len(self.mean)
+
+    @cached_property
+    def modes(self) -> Array:
+        """What tolerances do, (residuals, regions, 2): a level, and the shape that shifts vary most by."""
+        weight = self.count.sum(axis=0)
+        R, M = weight.shape
+        mass = np.maximum(self.count, 1e-12)[:, None]
+        shift = (self.shift * mass).sum(axis=0) / mass.sum(axis=0)
+        modes = np.ones((R, M, 2))
+        for r in range(R):
+            w = np.sqrt(weight[r] / max(weight[r].sum(), 1e-12))
+            S = shift[:, r] / np.maximum(np.linalg.norm(shift[:, r] * w, axis=1, keepdims=True), 1e-12)
+            S = (S - (S @ w**2)[:, None]) * w
+            shape = np.linalg.svd(S, full_matrices=False)[2][0]
+            modes[r, :, 1] = np.where(w > 0, shape / np.maximum(w, 1e-12), 0.0)
+        return modes
 
     def but(self, keep: NDArray[np.int64]) -> Drives:
         """Some of the drives."""
@@ -100,7 +117,7 @@ class Spread:
 
 def spread_of(drives: Drives, members: NDArray[np.int64], cut_off: float = 1.0) -> Spread:
     """That of the members; ``cut_off`` times what their levels show."""
-    some, modes = drives.but(members), _modes(drives)
+    some, modes = drives.but(members), drives.modes
     level, var, left = _levels(some, modes, some.mean - centre_of(some.mean, some.count))
     sd = cut_off * np.sqrt(np.maximum(level.var(axis=0) - np.median(var, axis=0), 0.0))
     sd[:, 0] = np.maximum(sd[:, 0], drives.offset)
@@ -116,21 +133,6 @@ def _cut_off(share: float, dimensions: int) -> float:
     """The standard deviation of normal values over that of the ``share`` nearest to their centre (Croux and
     Haesbroeck 1999)."""
     return float(np.sqrt(share / chi2.cdf(chi2.ppf(share, dimensions), dimensions + 2)))
-
-
-def _modes(drives: Drives) -> Array:
-    weight = drives.count.sum(axis=0)
-    R, M = weight.shape
-    mass = np.maximum(drives.count, 1e-12)[:, None]
-    shift = (drives.shift * mass).sum(axis=0) / mass.sum(axis=0)
-    modes = np.ones((R, M, 2))
-    for r in range(R):
-        w = np.sqrt(weight[r] / max(weight[r].sum(), 1e-12))
-        S = shift[:, r] / np.maximum(np.linalg.norm(shift[:, r] * w, axis=1, keepdims=True), 1e-12)
-        S = (S - (S @ w**2)[:, None]) * w
-        shape = np.linalg.svd(S, full_matrices=False)[2][0]
-        modes[r, :, 1] = np.where(w > 0, shape / np.maximum(w, 1e-12), 0.0)
-    return modes
 
 
 def _levels(drives: Drives, modes: Array, away: Array) -> tuple[Array, Array, Array]:
@@ -161,13 +163,12 @@ def _trimmed(drives: Drives, rng: np.random.Generator) -> NDArray[np.int64]:
     """The members of the least trimmed fit, by likelihood: a wide spread explains more and says less. It
     starts from a few drives, as hardly a start with many is without faults."""
     N, h = len(drives), max(LEAST - 1, round(SHARE * len(drives)))
-    modes = _modes(drives)
-    usual = _unlikely(drives, modes, np.arange(N))[1]
+    usual = _unlikely(drives, np.arange(N))[1]
     best, least = np.arange(h), np.inf
     for _ in range(STARTS):
         members = rng.choice(N, LEAST, replace=False)
         for _ in range(STEPS):
-            distance, wide = _unlikely(drives, modes, members)
+            distance, wide = _unlikely(drives, members)
             cost = distance + wide - usual  # how well a drive is known is not what is asked
             closest = np.argsort(cost)[:h]
             if set(closest) == set(members):
@@ -178,12 +179,11 @@ def _trimmed(drives: Drives, rng: np.random.Generator) -> NDArray[np.int64]:
     return best
 
 
-def _unlikely(drives: Drives, modes: Array, members: NDArray[np.int64]) -> tuple[Array, Array]:
+def _unlikely(drives: Drives, members: NDArray[np.int64]) -> tuple[Array, Array]:
     """Minus twice the log likelihood of every drive's levels, for members that are healthy: the distance and
     the normalisation, each (drives,)."""
-    level, var, _ = _levels(
-        drives, modes, drives.mean - centre_of(drives.mean[members], drives.count[members])
-    )
+    away = drives.mean - centre_of(drives.mean[members], drives.count[members])
+    level, var, _ = _levels(drives, drives.modes, away)
     square = np.maximum((level[members] ** 2 - var[members]).mean(axis=0), 0.0)
     square[:, 0] = np.maximum(square[:, 0], drives.offset**2)
     total = square + var
@@ -191,11 +191,12 @@ def _unlikely(drives: Drives, modes: Array, members: NDArray[np.int64]) -> tuple
 
 
 def _grown(members: NDArray[np.int64], gain: Array, threshold: float) -> NDArray[np.int64]:
-    """The members without those above the threshold, and the other drive with the least evidence below it."""
+    """The members without those above the threshold, and the other drive with the least evidence below it, of
+    many drives as many more as are a twentieth."""
     stay = members[gain[members] <= threshold]
     outside = np.setdiff1d(np.arange(len(gain)), members)
     outside = outside[gain[outside] <= threshold]
-    return np.sort(np.append(stay, outside[np.argsort(gain[outside])[:1]]))
+    return np.sort(np.append(stay, outside[np.argsort(gain[outside])[: max(1, len(gain) // 20)]]))
 
 
 def inverse(count: Array, noise: Array, spread: Spread, centre_var: Array, more: float) -> Array:
