@@ -182,9 +182,8 @@ def said(title: str, found: Comparison) -> None:
     print(f"  {title}: {found.verdict}; worse rows {len(worse)}: {', '.join(worse[:4])}")
     for what, i in ((r.what, r.interval) for r in found.rows if r.pooled):
         if i:
-            print(
-                f"    {what:20s}{i.champion:8.3g}{i.challenger:8.3g}  {i.low:.3g} to {i.high:.3g}: {i.verdict}"
-            )
+            bounds = f"{i.low:.3g} to {i.high:.3g}"
+            print(f"    {what:20s}{i.champion:8.3g}{i.challenger:8.3g}  {bounds}: {i.verdict}", flush=True)
 
 
 def speed(hours: float) -> None:
