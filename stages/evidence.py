@@ -1,9 +1,13 @@
 """Evidence for faults over time: sums over several memories, steps at rest, the alarm and its episode.
 
 The log-likelihood (:mod:`stages.likelihood`) of every point, a hypothesis at a size, is kept over several
-memories. Besides, while the operating point stays, a change within the log can be seen that is smaller than
-what differs from run to run: for a step ``age`` s ago the sums are those of the log as it is before it, and
-of the point after it, with any offset, the same before and after.
+memories. Once the log before a memory tells the offsets, they are known but for what they wander within a
+log, and thresholds are lower: what differs from run to run no longer matters. An alarm keeps what was before
+it.
+
+Besides, while the operating point stays, a change within the log can be seen that is smaller still: for a
+step ``age`` s ago the sums are those of the log as it is before it, and of the point after it, with any
+offset, the same before and after.
 
 An alarm begins where some evidence has been above its threshold for ``confirm`` s; the episode's sums and
 those of the long memories then begin anew. It ends where for ``clear`` s no fault has evidence any more, or
@@ -26,7 +30,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from stages.likelihood import SUMS, log_likelihoods, peak
+from stages.likelihood import SUMS, informed, log_likelihoods, offsets_known, peak
 from stages.memory import (
     ACTIVE,
     ALARM,
@@ -186,23 +190,27 @@ def decide(
 ) -> None:  # pragma: no cover - compiled
     """Evidence over every memory; the alarm's begin and end; ``elapsed`` s since the last decision."""
     S, clocks, T, F = memory.S, memory.clocks, len(memory.S) - 2, grid.points.shape[0]
-    memory.statistic[0], memory.evidence[:] = -np.inf, -np.inf
+    memory.statistic[0], memory.evidence[:], strongest = -np.inf, -np.inf, T
     for i in range(T + len(settings.ages)):
-        stepped = i >= T
+        stepped, row = i >= T, min(i, T)
         if stepped:
             L = step_likelihoods(memory, settings, grid, settings.ages[i - T])
             if not len(L):
                 continue
         else:
-            L = log_likelihoods(S[i], settings.sd, settings.unknown_sd)
+            sums = S[i]
+            if clocks[ALARM] == 0 and offsets_known(sums, S[T - 1], settings.sd, settings.wander):
+                sums, row = informed(sums, S[T - 1], settings.wander, grid.prior), T + 1
+            L = log_likelihoods(sums, settings.sd, settings.unknown_sd)
         evidence, size, size_sd = evidence_of(L, grid)
         if clocks[ALARM] == 0 and not stepped:
-            note_detectable(L, settings.threshold[i], grid, memory.detectable)
+            note_detectable(L, settings.threshold[row], grid, memory.detectable)
         for f in range(F):
-            memory.largest[min(i, T), f] = max(memory.largest[min(i, T), f], evidence[f])
-            excess = evidence[f] - settings.threshold[min(i, T), f]
+            memory.largest[row, f] = max(memory.largest[row, f], evidence[f])
+            excess = evidence[f] - settings.threshold[row, f]
             if excess > memory.statistic[0]:
                 memory.statistic[0] = excess
+                strongest = i
                 if clocks[ALARM] == 0:
                     for p in range(len(L)):
                         memory.kept[p] = L[p] - L[0] if stepped else 0.0
@@ -215,6 +223,7 @@ def decide(
     clocks[SINCE] += elapsed
     if clocks[HELD] >= (settings.clear if clocks[ALARM] == 1 else settings.confirm):
         if clocks[ALARM] == 0:
+            memory.before[:] = S[T - 1] - S[min(strongest, T - 1)]
             S[2 : T + 1] = 0.0
             for p in range(len(grid.prior)):
                 if grid.prior[p] > -np.inf:
@@ -224,6 +233,7 @@ def decide(
                 memory.kept[-1] = max(memory.kept[-1], memory.kept[p])
         else:
             S[:T] = memory.ended
+            S[T - 1] += memory.before  # offsets are still known
         memory.ended[:] = 0.0
         begins = 1.0 - clocks[ALARM]
         clocks[:RESTED] = 0.0
@@ -234,7 +244,8 @@ def decide(
 def judge(memory: Memory, settings: Settings, grid: Grid) -> None:  # pragma: no cover - compiled
     """Evidence of the episode and the probabilities, in alarm."""
     clocks, T, F = memory.clocks, len(memory.S) - 2, grid.points.shape[0]
-    L = log_likelihoods(memory.S[T], settings.sd, settings.unknown_sd)
+    sums = informed(memory.S[T], memory.S[T] + memory.before, settings.wander, grid.prior)
+    L = log_likelihoods(sums, settings.sd, settings.unknown_sd)
     for i in range(len(L)):
         L[i] += memory.kept[i]
     evidence, memory.size[:], memory.size_sd[:] = evidence_of(L, grid)

@@ -42,12 +42,13 @@ from stages.gate import GATE
 from stages.hypotheses import Drift, Hypothesis, Points
 from stages.likelihood import SUMS
 from stages.memory import CLOCKS, Memory, Rows, Settings
-from stages.offsets import correlation_times, offset_sd, shape_sd
+from stages.offsets import correlation_times, offset_sd, shape_sd, wander_sd
 from stages.relations import familiarity
 from stages.residuals import Residuals, residual_names
 from stages.results import DETECTABLE, DETECTION, EVIDENCE, PROBABILITY, SIZE, SIZE_SD, STATISTIC, UNKNOWN
 from stages.size_grid import Grid, refined_grid
 from stages.stage import ANALYSIS, Arrays, RowWise, Stage, add_columns, columns
+from stages.thresholds import exceeded
 
 Array = NDArray[np.float64]
 
@@ -71,15 +72,17 @@ class Isolate:
     each that ends a rest (none: no search for steps).
 
     The threshold of a fault and a memory is ``margin`` more than the largest evidence in the calibration
-    logs, at least ``min_threshold``, for a step ``min_step_threshold``. An alarm ends when the fault has been
-    gone for ``clear_s``; by ``change`` a fault of two sizes must be likelier than of one.
+    logs, at least ``min_threshold``, for a step ``min_step_threshold``; where the offsets are known from
+    before it is what a healthy log exceeds with probability ``risk`` (:mod:`stages.thresholds`). An alarm
+    ends when the fault has been gone for ``clear_s``; by ``change`` a fault of two sizes must be likelier
+    than of one.
 
     Raises:
         RecipeError: fewer than two memories, or not rising; more than two shapes for a residual; no residuals
             before this stage; nothing learned yet.
     """
 
-    version: ClassVar[str] = "6"
+    version: ClassVar[str] = "7"
     learns_from: ClassVar[Literal["calibration"]] = "calibration"
     hypotheses: Mapping[str, Hypothesis]
     drifts: Mapping[str, Drift] = field(default_factory=dict)
@@ -95,6 +98,7 @@ class Isolate:
     margin: float = 3.0
     min_threshold: float = 12.0
     min_step_threshold: float = 8.0
+    risk: float = 0.003
     rest: Mapping[str, float] = field(default_factory=dict)
     rest_s: float = 30.0
     step_ages_s: tuple[float, ...] = (3.0, 5.0, 8.0)
@@ -156,16 +160,19 @@ class Isolate:
         return Points([*drifts, *self.hypotheses.values()], chain, residuals)
 
     def fit(self, blocks: Sequence[Log], before: Sequence[Sequence[Stage]] = (), /) -> Self:
-        shape = (len(self.memories_s) + 1, len(self.hypotheses))
+        shape = (len(self.memories_s) + 2, len(self.hypotheses))
         largest = []
         judged = self._judged(residual_names(blocks[0]))
         given = np.array([self.offsets.get(r, {}).get("1", 0.0) for r in judged])
         second = np.array([[*self.offsets.get(r, {}).values(), 0.0, 0.0][1] for r in judged])
         shapes = [self.shapes(columns(b), judged)[:, :, 1] for b in blocks]
+        sd = offset_sd(blocks, judged, given, self.memories_s[-2], self.correlation_s)
+        lasting = correlation_times(blocks, judged, self.correlation_s)
         learned = {
-            "offset_sd": offset_sd(blocks, judged, given, self.memories_s[-2], self.correlation_s),
+            "offset_sd": sd,
             "shape_sd": shape_sd(blocks, judged, shapes, second, self.correlation_s),
-            "correlation_s": correlation_times(blocks, judged, self.correlation_s),
+            "wander_sd": wander_sd(blocks, judged, sd, self.memories_s[2], lasting),
+            "correlation_s": lasting,
         }
         silent = replace(self, learned={"threshold": np.full(shape, np.inf), **learned})
         for block, passed in zip(blocks, before, strict=True):
@@ -175,10 +182,13 @@ class Isolate:
         return replace(self, learned={"threshold": self.thresholds(learned["largest"]), **learned})
 
     def thresholds(self, largest: Array) -> Array:
-        """Thresholds (memories + 1, faults) from the largest evidence in each log of a calibration, (logs,
-        memories + 1, faults)."""
+        """Thresholds (memories + 2, faults): over each memory, of steps, and over any memory where offsets
+        are known; from the largest evidence in each log of a calibration, (logs, memories + 2, faults)."""
         least = np.append(np.full(len(self.memories_s), self.min_threshold), self.min_step_threshold)
-        return np.asarray(np.maximum(largest.max(axis=0) + self.margin, least[:, None]))
+        plain = np.maximum(largest[:, :-1].max(axis=0) + self.margin, least[:, None])
+        known = largest[:, -1]
+        tail = exceeded(known, self.risk, self.min_threshold)
+        return np.vstack([plain, np.maximum(tail, known.max(axis=0) + self.margin)])
 
     def _judged(self, known: Sequence[str]) -> list[str]:
         return [r for r in known if r in self.residuals] if self.residuals else [*known]
@@ -198,9 +208,10 @@ class Isolate:
             times=np.full(seconds if self.rest else 0, np.inf),
             place=np.full(len(self.rest), np.nan),
             kept=np.zeros(points),
+            before=np.zeros((R, SUMS, points)),
             ended=np.zeros((R, SUMS, points)),
             clocks=np.zeros(CLOCKS),
-            largest=np.full((len(self.memories_s) + 1, F), -np.inf),
+            largest=np.full((len(self.memories_s) + 2, F), -np.inf),
             detectable=np.full(F, np.inf),
             statistic=np.full(1, -np.inf),
             evidence=np.zeros(F + 1),
@@ -313,6 +324,7 @@ class Isolate:
             temper=self.temper,
             penalty=self.unknown_penalty,
             change=self.change,
+            wander=self.learned["wander_sd"],
         )
 
     @cached_property

@@ -137,6 +137,40 @@ def log_likelihoods(S: Array, sd: Array, unknown_sd: Array) -> Array:  # pragma:
 
 
 @njit(cache=True, error_model="numpy")
+def offsets_known(
+    recent: Array, whole: Array, sd: Array, wander: Array
+) -> bool:  # pragma: no cover - compiled
+    """Whether what came before the ``recent`` in the ``whole`` says as much of all offsets as is supposed."""
+    for r in range(len(sd)):
+        before = whole[r, A11, 0] - recent[r, A11, 0]
+        if sd[r, 0] > 0 and (wander[r] >= sd[r, 0] or before * sd[r, 0] ** 2 < 1.0):
+            return False
+    return True
+
+
+@njit(cache=True, error_model="numpy")
+def informed(
+    recent: Array, whole: Array, wander: Array, prior: Array
+) -> Array:  # pragma: no cover - compiled
+    """Sums of the ``recent`` under every point, and of what came before it in the ``whole`` under none but
+    those with a ``prior``, which healthy logs show.
+
+    So the offsets are known from before, but for what they ``wander`` within a log, a standard deviation
+    (residuals,): what was before counts as no more than would tell them so well.
+    """
+    sums = recent.copy()
+    R, P = recent.shape[0], recent.shape[2]
+    for r in range(R):
+        information = (whole[r, A11, 0] - recent[r, A11, 0]) * wander[r] ** 2
+        share = min(1.0, 1.0 / information) if information > 0 else 0.0
+        for k in range(SUMS):
+            for p in range(P):
+                q = p if p == P - 1 or prior[p] > -np.inf else 0
+                sums[r, k, p] += share * (whole[r, k, q] - recent[r, k, q])
+    return sums
+
+
+@njit(cache=True, error_model="numpy")
 def peak(x: Array, L: Array) -> tuple[float, float, float]:  # pragma: no cover - compiled
     """Place, height and standard deviation of the maximum of a log-likelihood on an even grid around it.
 

@@ -42,7 +42,8 @@ class Rows(NamedTuple):
 
 class Settings(NamedTuple):
     """``memories``: those of the alarm, the episode's, and that of a rest; ``ages`` of a step in s;
-    ``sd unknown_sd`` of the offsets (residuals, 2)."""
+    ``sd unknown_sd`` of the offsets (residuals, 2), and how far they
+    ``wander`` within a log (residuals,)."""
 
     memories: Array
     ages: Array
@@ -56,14 +57,15 @@ class Settings(NamedTuple):
     temper: float
     penalty: float
     change: float
+    wander: Array
 
 
 class Memory(NamedTuple):
     """What the recursion remembers, changed in place: sums by memory (the episode's and the rest's last),
     residual and point; those since the last decision; those of the rest at earlier seconds and their times;
-    where it began; log-likelihood ratios that an episode began with; sums since the named fault was last as
-    good as none; clocks; the largest evidence so far, and the smallest size that would have been seen; the
-    last decision."""
+    where it began; log-likelihood ratios that an episode began with; sums of what was before it; those since
+    the named fault was last as good as none; clocks; the largest evidence so far, and the smallest size that
+    would have been seen; the last decision."""
 
     S: Array
     fresh: Array
@@ -71,6 +73,7 @@ class Memory(NamedTuple):
     times: Array
     place: Array
     kept: Array
+    before: Array
     ended: Array
     clocks: Array
     largest: Array

@@ -16,6 +16,7 @@ from stages.stage import columns
 Array = NDArray[np.float64]
 MIN_LOGS = 3  # fewer do not tell what differs from run to run
 LEAST = 1e-12
+LEAST_WANDER = 0.3  # of what differs from log to log
 SPAN_S = 30.0  # errors of longer are offsets
 LONGEST_S = 10.0
 
@@ -74,6 +75,37 @@ def shape_sd(
                 c = float((w * x * np.nan_to_num(e)).sum()) / mass
                 square[i] += max(c**2 - samples / mass, 0.0)
     return np.asarray(np.where(shown, np.sqrt(square / (1 if few else len(blocks) + 1)), 0.0))
+
+
+def wander_sd(
+    blocks: Sequence[Log], residuals: Sequence[str], offset_sd: Array, span_s: float, correlation_s: Array
+) -> Array:
+    """Standard deviation of each residual's mean over ``span_s`` about the log's own, shape (residuals,).
+
+    With m and v as in :func:`offset_sd`, S the spans' sums of weights and M the log's mean,
+
+        sqrt((LEAST_WANDER offset_sd)^2 + sum S [(m - M)^2 - v (1 - S / sum S)] / sum S).
+
+    With fewer than ``MIN_LOGS`` different logs it is not known, and infinite.
+    """
+    if len({block.name for block in blocks}) < MIN_LOGS:
+        return np.full(len(residuals), np.inf)
+    sums = np.zeros((2, len(residuals)))
+    for block in blocks:
+        values = columns(block)
+        time = values[TIME]
+        part = ((time - time[0]) // span_s).astype(int)
+        dt = float(np.median(np.diff(time)))
+        for i, r in enumerate(residuals):
+            e, sigma = values[RESIDUAL + r], values[SIGMA + r]
+            weight = np.where(np.isfinite(e), 1 / sigma**2, 0.0)
+            S = np.maximum(np.bincount(part, weight), LEAST)
+            away = np.bincount(part, weight * np.nan_to_num(e)) / S - np.average(
+                np.nan_to_num(e), weights=np.maximum(weight, LEAST)
+            )
+            samples = max(1.0, correlation_s[i] / dt)
+            sums[:, i] += (S * away**2 - samples * (1 - S / S.sum())).sum(), S.sum()
+    return np.asarray(np.sqrt((LEAST_WANDER * offset_sd) ** 2 + np.maximum(sums[0] / sums[1], 0.0)))
 
 
 def correlation_times(blocks: Sequence[Log], residuals: Sequence[str], given_s: float) -> Array:

@@ -149,6 +149,30 @@ def test_a_step_at_rest_is_seen_below_what_differs_from_run_to_run(fitted: list[
     assert alarm["time"][-1] == seen[True]["time"][-1]
 
 
+def test_a_change_within_a_drive_is_seen_below_what_differs_from_drive_to_drive(fitted: list[Stage]) -> None:
+    """Sensors that are wrong by up to 2 % are healthy here; as much more within a drive are not."""
+    logs = [
+        drive(s, flow=x, at=0.0)
+        for s, x in zip(range(60, 65), (-0.02, 0.016, 0.006, -0.012, 0.01), strict=True)
+    ]
+    stage = Isolate(hypotheses=HYPOTHESES, offsets={"r_air": {"1": 0.02}, "r_fuel": {"1": 0.02}})
+    blocks = [transform(fitted[:-1], log) for log in logs]
+    known = stage.fit(blocks, [fitted[:-1]] * len(blocks))
+    unknown = replace(known, learned={**known.learned, "wander_sd": np.full(2, np.inf)})
+    offset = drive(66, flow=-0.01, at=0.0).groups[ANALYSIS].frame
+    late = offset["time"].to_numpy() >= 200
+    seen = {}
+    for stage in (known, unknown):
+        stages = connected([*fitted[:-1], stage])
+        assert samples(stages, drive_with(offset))["detection"].sum() == 0
+        grown = samples(stages, drive_with(offset, W=np.where(late, 1.02, 1.0)))
+        seen[stage is known] = grown.filter(pl.col("detection") == 1)
+    assert 200 < seen[True]["time"][0] < 215
+    assert seen[True]["p.flow_gain"][-1] > 0.9
+    assert seen[True]["size.flow_gain"][-1] == pytest.approx(0.02, abs=0.005)
+    assert seen[False].is_empty()
+
+
 def test_what_is_called_detectable_is_detected(fitted: list[Stage]) -> None:
     least = samples(fitted, drive(12))["detectable.flow_gain"][-1]
     assert 0.001 < least < 0.05

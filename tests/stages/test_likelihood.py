@@ -9,7 +9,20 @@ from hypothesis import strategies as st
 from scipy.stats import multivariate_normal
 
 from stages.hypotheses import Hypothesis
-from stages.likelihood import A11, B1, SUMS, D, Q, add_sample, fade, log_likelihoods, peak, tame
+from stages.likelihood import (
+    A11,
+    B1,
+    SUMS,
+    D,
+    Q,
+    add_sample,
+    fade,
+    informed,
+    log_likelihoods,
+    offsets_known,
+    peak,
+    tame,
+)
 from stages.size_grid import Grid, refined_grid
 
 AS_IT_IS = refined_grid([Hypothesis(undo={"y": "theta"}, sizes=(1.0,), from_zero=False)], [(1.0,)], 0, 1)
@@ -125,3 +138,38 @@ def test_the_peak_of_a_parabola_is_exact(place: float, sd: float) -> None:
 def test_a_peak_at_the_end_has_no_width() -> None:
     x = np.array([0.0, 1.0, 2.0])
     assert peak(x, np.array([1.0, 0.5, 0.0])) == (0.0, 1.0, np.inf)
+
+
+@pytest.mark.parametrize("wander", [1e-9, 0.2])
+def test_an_offset_known_from_before_is_taken_off(wander: float) -> None:
+    """Twelve samples before, as they are, and five since under a fault, against the normal distribution of
+    the five given the twelve. The twelve tell the offset to 0.06; where it wanders they count for less."""
+    rng, sd, sigma = np.random.default_rng(1), 0.5, 0.2
+    before, since = rng.normal(0.4, sigma, 12), rng.normal(0.4, sigma, 5)
+    whole, recent = np.zeros((1, SUMS, 3)), np.zeros((1, SUMS, 3))
+    for e in before:
+        add(whole, [[e, e - 0.3]], sigma=sigma)
+    for e in since:
+        add(whole, [[e, e - 0.3]], sigma=sigma)
+        add(recent, [[e, e - 0.3]], sigma=sigma)
+    prior = np.array([0.0, -np.inf, -np.inf])  # of being healthy, the fault, and the log as it is
+    sums = informed(recent, whole, np.array([wander]), prior)
+    L = log_likelihoods(sums, np.array([[sd, 0.0]]), np.array([[sd, 0.0]]))
+
+    share = min(1.0, sigma**2 / (12 * wander**2))  # of the twelve samples' information
+    C = sigma**2 * np.diag([*np.full(12, 1 / share), *np.ones(5)]) + sd**2
+    given = C[12:, :12] @ np.linalg.inv(C[:12, :12])
+    normal = multivariate_normal(np.zeros(5), C[12:, 12:] - given @ C[:12, 12:])
+    healthy, faulty = (normal.logpdf(since - x - given @ before) for x in (0.0, 0.3))
+    assert L[1] - L[0] == pytest.approx(faulty - healthy, rel=1e-6)
+
+
+def test_offsets_are_known_once_the_log_says_as_much_as_is_supposed() -> None:
+    whole, recent = np.zeros((1, SUMS, 3)), np.zeros((1, SUMS, 3))
+    known = []
+    for _ in range(6):
+        known.append(offsets_known(recent, whole, np.array([[0.5, 0.0]]), np.array([0.1])))
+        add(whole, [[0.0, 0.0]])
+    assert known == [False] * 4 + [True] * 2
+    assert not offsets_known(recent, whole, np.array([[0.5, 0.0]]), np.array([np.inf]))
+    assert not offsets_known(whole, whole, np.array([[0.5, 0.0]]), np.array([0.1]))

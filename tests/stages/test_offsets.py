@@ -8,7 +8,7 @@ import pytest
 from scipy.signal import lfilter
 
 from ingest.log import Group, Log
-from stages.offsets import correlation_times, offset_sd, shape_sd
+from stages.offsets import LEAST_WANDER, correlation_times, offset_sd, shape_sd, wander_sd
 from stages.stage import ANALYSIS
 
 
@@ -77,3 +77,22 @@ def test_how_much_of_a_shape_logs_hold_is_found_again() -> None:
     assert shape_sd(logs, ["r"], shape, np.zeros(1), 0.5)[0] == pytest.approx(0.4, rel=0.3)
     assert shape_sd(logs[:1], ["r"], shape[:1], np.array([0.1]), 0.5)[0] == 0.1
     assert shape_sd(logs, ["r"], [0 * x for x in shape], np.array([0.1]), 0.5)[0] == 0.0
+
+
+def test_how_far_offsets_wander_within_a_log_is_found_again() -> None:
+    """They change every 100 s; what all of a log has is none of it, and noise alone neither."""
+    rng, t = np.random.default_rng(7), np.arange(0, 4000, 0.5)
+
+    def log(i: int, sd: float) -> Log:
+        e = rng.normal(0, 2.0) + rng.normal(0, sd, 40).repeat(200) + rng.normal(0, 0.5, t.size)
+        frame = pl.DataFrame({"time": t, "residual.r": e, "sigma.r": np.full(t.size, 0.5)})
+        return Log(f"log{i}", {ANALYSIS: Group(ANALYSIS, frame)})
+
+    lasting = np.array([0.5])
+    wandering, steady = ([log(i, sd) for i in range(10)] for sd in (0.3, 0.0))
+    assert wander_sd(wandering, ["r"], np.zeros(1), 100.0, lasting)[0] == pytest.approx(0.3, rel=0.1)
+    assert wander_sd(steady, ["r"], np.zeros(1), 100.0, lasting)[0] < 0.02
+    assert wander_sd(steady, ["r"], np.array([2.0]), 100.0, lasting)[0] == pytest.approx(
+        2 * LEAST_WANDER, 0.01
+    )
+    assert wander_sd(steady[:2], ["r"], np.array([2.0]), 100.0, lasting)[0] == np.inf
