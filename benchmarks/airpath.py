@@ -10,7 +10,7 @@ nothing was tuned on. Every line says how many drives it counts.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cache
@@ -26,6 +26,7 @@ from pipeline.fitting import fit
 from pipeline.recipe import load_recipe
 from stages.results import PAIR
 
+Sizes = Mapping[str, Sequence[float]]  # by fault
 LENGTH_S = {"udds": 1369.0, "us06": 596.0, "hwfet": 765.0}
 FIRST_SEED = 9000
 CALIBRATION = [
@@ -171,7 +172,7 @@ def judged(case: Case) -> Found:
     )
 
 
-def drives(plan: Case, sizes: dict[str, tuple[float, ...]], seeds: int) -> Iterator[Case]:
+def drives(plan: Case, sizes: Sizes, seeds: int) -> Iterator[Case]:
     """As ``plan``, on every cycle: fault-free drives, four for every one of a fault's, and all faults."""
     for cycle in LENGTH_S:
         for seed in range(FIRST_SEED, FIRST_SEED + 4 * seeds):
@@ -248,7 +249,7 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=2)
     args = parser.parse_args()
     few = max(1, args.seeds // 3)
-    plans = {
+    plans: dict[str, tuple[str, Case, Sizes, int]] = {
         "single": ("no tolerances", Case(), SMALL, args.seeds),
         "tolerance": ("tolerance level 1", Case(tolerance=1), LARGE, args.seeds),
         "drift": ("drifts over 200 s", Case(ramp_s=200.0), LARGE, few),

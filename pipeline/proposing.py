@@ -19,7 +19,7 @@ from stages.relations import IN_DOMAIN
 from stages.results import STATISTIC
 
 KNOWN = 0.95  # share of the steady samples in the trained domain below which operating points are new
-CLEAR = -5.0  # nats: how far the largest evidence must stay below its threshold
+CLEAR = -2.0  # nats: how far the largest evidence must stay below its threshold
 LEAST_S = 90.0  # of usable samples
 MISSING = 0.01  # share of a needed signal's samples
 

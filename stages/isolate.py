@@ -42,13 +42,13 @@ from stages.gate import GATE
 from stages.hypotheses import Drift, Hypothesis, Points
 from stages.likelihood import SUMS
 from stages.memory import CLOCKS, Memory, Rows, Settings
-from stages.offsets import correlation_times, offset_sd, shape_sd, wander_sd
+from stages.offsets import learned_offsets
 from stages.relations import familiarity
 from stages.residuals import Residuals, residual_names
 from stages.results import DETECTABLE, DETECTION, EVIDENCE, PROBABILITY, SIZE, SIZE_SD, STATISTIC, UNKNOWN
 from stages.size_grid import Grid, refined_grid
 from stages.stage import ANALYSIS, Arrays, RowWise, Stage, add_columns, columns
-from stages.thresholds import exceeded
+from stages.thresholds import thresholds
 
 Array = NDArray[np.float64]
 
@@ -66,9 +66,8 @@ class IsolateState:
 @dataclass(frozen=True, kw_only=True)
 class Isolate:
     """``offsets``: by residual, what differs from run to run: a shape's formula and its standard deviation,
-    which counts as one log beside those of the calibration;
-    ``residuals``: those to judge by, all if none is named; ``every_s``: one usable sample in this time is
-    looked at and stands for the others; ``rest``: columns that no fault concerns, and the relative change of
+    which counts as one log beside those of the calibration; ``residuals``: those to judge by, all if none is
+    named; ``every_s``: one usable sample in this time is looked at and stands for the others; ``rest``: columns that no fault concerns, and the relative change of
     each that ends a rest (none: no search for steps).
 
     The threshold of a fault and a memory is ``margin`` more than the largest evidence in the calibration
@@ -160,35 +159,25 @@ class Isolate:
         return Points([*drifts, *self.hypotheses.values()], chain, residuals)
 
     def fit(self, blocks: Sequence[Log], before: Sequence[Sequence[Stage]] = (), /) -> Self:
-        shape = (len(self.memories_s) + 2, len(self.hypotheses))
-        largest = []
         judged = self._judged(residual_names(blocks[0]))
         given = np.array([self.offsets.get(r, {}).get("1", 0.0) for r in judged])
         second = np.array([[*self.offsets.get(r, {}).values(), 0.0, 0.0][1] for r in judged])
         shapes = [self.shapes(columns(b), judged)[:, :, 1] for b in blocks]
-        sd = offset_sd(blocks, judged, given, self.memories_s[-2], self.correlation_s)
-        lasting = correlation_times(blocks, judged, self.correlation_s)
-        learned = {
-            "offset_sd": sd,
-            "shape_sd": shape_sd(blocks, judged, shapes, second, self.correlation_s),
-            "wander_sd": wander_sd(blocks, judged, sd, self.memories_s[2], lasting),
-            "correlation_s": lasting,
-        }
-        silent = replace(self, learned={"threshold": np.full(shape, np.inf), **learned})
+        span, lasting = self.memories_s[-2], self.correlation_s
+        learned = learned_offsets(blocks, judged, given, second, shapes, span, lasting)
+        never = np.full((len(self.memories_s) + 2, len(self.hypotheses)), np.inf)
+        silent, largest = replace(self, learned={**learned, "threshold": never}), []
         for block, passed in zip(blocks, before, strict=True):
             stage = silent.connect(passed)
             largest.append(np.maximum(stage.step(stage.start(), block)[0].memory.largest, 0.0))
-        learned["largest"] = np.stack(largest)
-        return replace(self, learned={"threshold": self.thresholds(learned["largest"]), **learned})
+        most = np.stack(largest)
+        return replace(self, learned={**learned, "largest": most, "threshold": self.thresholds(most)})
 
     def thresholds(self, largest: Array) -> Array:
-        """Thresholds (memories + 2, faults): over each memory, of steps, and over any memory where offsets
-        are known; from the largest evidence in each log of a calibration, (logs, memories + 2, faults)."""
+        """Thresholds (memories + 2, faults) from the largest evidence in each log, see
+        :func:`stages.thresholds.thresholds`."""
         least = np.append(np.full(len(self.memories_s), self.min_threshold), self.min_step_threshold)
-        plain = np.maximum(largest[:, :-1].max(axis=0) + self.margin, least[:, None])
-        known = largest[:, -1]
-        tail = exceeded(known, self.risk, self.min_threshold)
-        return np.vstack([plain, np.maximum(tail, known.max(axis=0) + self.margin)])
+        return thresholds(largest, least, self.margin, self.risk)
 
     def _judged(self, known: Sequence[str]) -> list[str]:
         return [r for r in known if r in self.residuals] if self.residuals else [*known]

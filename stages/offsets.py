@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ingest.log import TIME, Log
 from stages.gate import GATE
 from stages.residuals import RESIDUAL, SIGMA
-from stages.stage import columns
+from stages.stage import Arrays, columns
 
 Array = NDArray[np.float64]
 MIN_LOGS = 3  # fewer do not tell what differs from run to run
@@ -19,6 +19,27 @@ LEAST = 1e-12
 LEAST_WANDER = 0.3  # of what differs from log to log
 SPAN_S = 30.0  # errors of longer are offsets
 LONGEST_S = 10.0
+
+
+def learned_offsets(
+    blocks: Sequence[Log],
+    residuals: Sequence[str],
+    given: Array,
+    given_shape: Array,
+    shapes: Sequence[Array],
+    span_s: float,
+    correlation_s: float,
+) -> Arrays:
+    """All that this module learns, each (residuals,), from what is supposed: ``offset_sd``, ``shape_sd``,
+    ``wander_sd``, ``correlation_s``."""
+    sd = offset_sd(blocks, residuals, given, span_s, correlation_s)
+    lasting = correlation_times(blocks, residuals, correlation_s)
+    return {
+        "offset_sd": sd,
+        "shape_sd": shape_sd(blocks, residuals, shapes, given_shape, correlation_s),
+        "wander_sd": wander_sd(blocks, residuals, sd, span_s, lasting),
+        "correlation_s": lasting,
+    }
 
 
 def offset_sd(

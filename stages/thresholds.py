@@ -9,6 +9,18 @@ Array = NDArray[np.float64]
 SUPPOSED = 4  # logs that what is supposed counts as
 
 
+def thresholds(largest: Array, least: Array, margin: float, risk: float) -> Array:
+    """Thresholds (kinds, faults) from the largest evidence of each kind in each log of a calibration, (logs,
+    kinds, faults): over each memory, of steps, and, last, over any memory where offsets are known.
+
+    The last is what another log exceeds with probability ``risk``; the others are the ``least`` (kinds - 1,).
+    All are ``margin`` or more above the largest.
+    """
+    known = exceeded(largest[:, -1], risk, least[0])
+    given = np.vstack([np.broadcast_to(least[:, None], (len(least), len(known))), known])
+    return np.asarray(np.maximum(largest.max(axis=0) + margin, given))
+
+
 def exceeded(largest: Array, risk: float, after_one: float) -> Array:
     """What the largest evidence in another healthy log exceeds with probability ``risk``, shape (faults,).
 

@@ -164,7 +164,7 @@ def test_record_says_what_was_learned(detector: Detector) -> None:
     assert {"log": "healthy1", "seed": 1}.items() <= record["training"][0].items()
     assert len(record["training"][0]["sha256"]) == 64
     assert record["training"][0]["sha256"] != record["calibration"][0]["sha256"]
-    assert set(record["thresholds"]["100 s"]) == set(supposed(detector.recipe))
+    assert set(record["thresholds"]["50 s"]) == set(supposed(detector.recipe))
     assert 0 < record["scores"]["sigma"]["r_cyl"] < 0.05
     assert 0 < record["scores"]["rms"]["f_Cyl"] < 2.0
     place = next(i for i, s in enumerate(detector.recipe.stages) if isinstance(s, SelectInputs))

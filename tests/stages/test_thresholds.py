@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stages.thresholds import SUPPOSED, exceeded
+from stages.thresholds import SUPPOSED, exceeded, thresholds
 
 
 @pytest.mark.parametrize("logs", [1, 3, 7])
@@ -23,3 +23,12 @@ def test_quiet_logs_lower_it_and_loud_ones_raise_it() -> None:
     assert quiet[0] == pytest.approx(12.0)
     assert quiet == sorted(quiet, reverse=True)
     assert exceeded(np.full((5, 1), 8.0), 0.003, 12.0)[0] > 20
+
+
+def test_each_kind_has_its_least_and_a_margin() -> None:
+    largest = np.zeros((6, 3, 2))
+    largest[2, 0, 1], largest[4, 2, 0] = 20.0, 6.0
+    found = thresholds(largest, np.array([12.0, 8.0]), 3.0, 0.003)
+    assert found[:2].tolist() == [[12.0, 23.0], [8.0, 8.0]]
+    assert found[2, 0] >= 9.0
+    assert found[2, 1] == pytest.approx(exceeded(largest[:, 2], 0.003, 12.0)[1])
