@@ -67,8 +67,8 @@ class IsolateState:
 class Isolate:
     """``offsets``: by residual, what differs from run to run: a shape's formula and its standard deviation,
     which counts as one log beside those of the calibration; ``residuals``: those to judge by, all if none is
-    named; ``every_s``: one usable sample in this time is looked at and stands for the others; ``rest``: columns that no fault concerns, and the relative change of
-    each that ends a rest (none: no search for steps).
+    named; ``every_s``: one usable sample in this time is looked at and stands for the others; ``rest``:
+    columns that no fault concerns, and the relative change of each that ends a rest (none: no steps).
 
     The threshold of a fault and a memory is ``margin`` more than the largest evidence in the calibration
     logs, at least ``min_threshold``, for a step ``min_step_threshold``; where the offsets are known from
