@@ -140,7 +140,8 @@ def _thresholds(stages: Sequence[Stage]) -> dict[str, dict[str, float]]:
         if not isinstance(stage, Isolate | Detect) or "threshold" not in stage.learned:
             continue
         of = list(stage.hypotheses) if isinstance(stage, Isolate) else residuals
-        memories = [f"{s:g} s" for s in stage.memories_s] + ["step", "offsets known"] * isinstance(stage, Isolate)
+        memories = [f"{s:g} s" for s in stage.memories_s]
+        memories += ["step", "offsets known"] * isinstance(stage, Isolate)
         rows = zip(memories, stage.learned["threshold"], strict=True)
         return {m: {n: _short(x) for n, x in zip(of, row, strict=False)} for m, row in rows}
     return {}
