@@ -5,7 +5,9 @@
 Drives are drawn from simulated base drives, each simulated healthy, worn and with each fault at full size;
 what changes slowly is that difference times its share of full size. Each drive has tolerances of its own: air
 mass flow 0.3 %, pressure difference 0.03 kPa and 1 %. Changes begin at drive 30 and reach their size within
-20 or 100 drives. Every line says how many vehicles it counts.
+20 or 100 drives; in time is an alarm before that. The witness (:mod:`stages.witness`) was fitted on further
+drives. Last come vehicles with a fault that grows within 200 s of one drive. Every line says how many it
+counts.
 """
 
 from __future__ import annotations
@@ -29,9 +31,7 @@ from stages.stage import columns
 from stages.witness import LIMIT, Sworn, contradiction, swear_in
 
 Array = NDArray[np.float64]
-Changes = dict[
-    str, tuple[Drives, Array, Array]
-]  # region means, shifts of the wears, what the witness is left
+Changes = dict[str, tuple[Drives, Array, Array]]  # region means, shifts of wears, what a witness is left
 CYCLES = ("udds", "us06", "hwfet", "ftp75", "wltc_3b")
 DRIVES, BEGIN = 150, 30
 WITNESSED = 15  # drives

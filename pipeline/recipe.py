@@ -148,6 +148,7 @@ def build_recipe(name: str, data: Mapping[str, Any]) -> Recipe:
         problems.append(f"stage 1 is {listed[0].get('use')!r}; the first must be 'align'")
     elif built:  # what comes after a stage that could not be built may need what that one adds
         problems += dataflow_problems(built)
+        problems += witness_problems(values.get("witness"), values.get("wear", {}), built)
     if problems:
         lines = "\n".join(f"  - {p}" for p in problems)
         raise RecipeError(f"recipe {name!r} has {len(problems)} mistake(s):\n{lines}")
@@ -179,6 +180,18 @@ def dataflow_problems(stages: list[Stage]) -> list[str]:
             problems.append(f"stage {i} ({kind}) needs {name!r}; {did_you_mean(name, present)}")
         present = ({"time"} if isinstance(stage, Align) else present) | stage.adds
     return problems
+
+
+def witness_problems(witness: Witness | None, wear: Mapping[str, Wear], stages: list[Stage]) -> list[str]:
+    """Columns that the witness of the wear needs and no stage makes, and kinds of wear that there are not."""
+    if witness is None:
+        return []
+    present: set[str] = set()
+    for stage in stages:
+        present = (set() if isinstance(stage, Align) else present) | stage.adds
+    lacking = [(n, present) for n in sorted(witness.needs - present)]
+    lacking += [(n, {*wear}) for n in witness.wear if n not in wear]
+    return [f"witness: there is no {name!r}; {did_you_mean(name, known)}" for name, known in lacking]
 
 
 def _build_stage(number: int, entry: dict[str, Any], problems: list[str]) -> Stage | None:

@@ -113,6 +113,16 @@ def test_mistake(data: dict[str, Any], words: str) -> None:
     assert any(words in line for line in mistakes(data)), mistakes(data)
 
 
+def test_a_witness_knows_its_columns_and_kinds_of_wear() -> None:
+    wear = {"leaking": {"residuals": {"r": "1"}, "per_100": 0.1, "total": 1.0}}
+    witness = {"output": "ln(p_Bts)", "inputs": ["dp"], "wear": {"leakng": 1.0}}
+    one, two = mistakes({**GOOD, "wear": wear, "witness": witness})
+    assert one.startswith("witness: there is no 'p_Bts'; did you mean p_Bst")
+    assert two.startswith("witness: there is no 'leakng'; did you mean leaking")
+    right = {**witness, "output": "ln(p_Bst)", "wear": {"leaking": 1.0}}
+    assert build_recipe("r", {**GOOD, "wear": wear, "witness": right}).witness is not None
+
+
 def test_a_later_align_drops_the_columns_before_it() -> None:
     data = deepcopy(GOOD)
     data["stage"].insert(2, {"use": "align", "signals": ["p_Int"]})
