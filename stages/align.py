@@ -81,12 +81,12 @@ class Align:
         lead = self._lead(block)
         series: dict[str, NDArray[np.float64]] = {}
         for group, names in wanted.items():
-            near = _Near(kept[group][TIME].to_numpy(), rows)
+            near = _Near(kept[group][TIME].to_numpy(), rows, self.raster_s, self.max_gap_s)
             for name in names:
                 column, signal = kept[group][name], block.groups[group].signals[name]
                 if column.null_count():
                     there = column.is_not_null().to_numpy()
-                    sparse = _Near(near.t[there], rows)
+                    sparse = replace(near, t=near.t[there])
                     series[name] = self._resample(
                         sparse, column.drop_nulls().to_numpy(), signal, group == lead
                     )
@@ -96,9 +96,10 @@ class Align:
         frame = pl.DataFrame(
             {TIME: rows, **{n: series[n] for n in names}}, schema_overrides={TIME: pl.Float64}
         )
-        frame = frame.with_columns(pl.col(names).fill_nan(None)).filter(
-            pl.any_horizontal(pl.col(names).is_not_null())
-        )
+        if all(np.isnan(x).any() for x in series.values()):  # else no row is empty
+            frame = frame.with_columns(pl.col(names).fill_nan(None)).filter(
+                pl.any_horizontal(pl.col(names).is_not_null())
+            )
         absent = [n for n in self.optional if n not in series]
         frame = frame.with_columns(pl.lit(None, pl.Float64).alias(n) for n in absent)
         signals = {n: block.signals[n] for n in names} | {n: Signal(name=n) for n in absent}
@@ -124,8 +125,12 @@ class Align:
 
     def _append(self, kept: pl.DataFrame | None, group: Group, names: list[str]) -> pl.DataFrame:
         """Buffered and new rows, sorted, one per time stamp."""
-        new = group.frame.select(TIME, pl.col(names).cast(pl.Float64)).sort(TIME, maintain_order=True)
-        if not np.diff(new[TIME].to_numpy()).all():
+        new = group.frame.select(TIME, pl.col(names).cast(pl.Float64))
+        steps = np.diff(group.time)
+        if (steps < 0).any():
+            new = new.sort(TIME, maintain_order=True)
+            steps = np.diff(new[TIME].to_numpy())
+        if not steps.all():
             one = {"last": pl.col(names).last(), "first": pl.col(names).first(), "mean": pl.col(names).mean()}
             new = new.group_by(TIME, maintain_order=True).agg(one[self.duplicates])
         return new if kept is None else pl.concat([kept, new])
@@ -169,11 +174,11 @@ class Align:
             return np.where(
                 (near.upto > 0) & (rows - t[near.before] <= self.max_gap_s), x[near.before], np.nan
             )
-        between = near.between(self.max_gap_s)
+        between = near.between
         left, right = x[near.before[between]], x[near.after[between]]
         value[between] = left + near.share[between] * (right - left)
         if self.raster_s > 0:
-            several, pairs, count = near.means(self.raster_s)
+            several, pairs, count = near.means
             total = np.add.reduceat(np.append(x, 0.0), pairs)[::2] if pairs.size else np.empty(0)
             value[several] = total / count
         return value
@@ -190,10 +195,16 @@ class _Near:
 
     t: NDArray[np.float64]
     rows: NDArray[np.float64]
+    raster_s: float
+    max_gap_s: float
 
     @cached_property
     def upto(self) -> NDArray[np.intp]:
         """Samples at or before each row."""
+        first = np.searchsorted(self.t, self.rows[:1] + 1e-9, side="right")
+        own = first + np.arange(self.rows.size)
+        if own.size and own[-1] <= self.t.size and np.array_equal(self.t[own[0] - 1 : own[-1]], self.rows):
+            return own  # the rows are samples, as of the raster's own signal
         return np.searchsorted(self.t, self.rows + 1e-9, side="right")
 
     @cached_property
@@ -219,15 +230,17 @@ class _Near:
         width = np.where(self.width > 0, self.width, 1.0)
         return np.asarray((self.rows - self.t[self.before]) / width)
 
-    def between(self, max_gap_s: float) -> NDArray[np.intp]:
+    @cached_property
+    def between(self) -> NDArray[np.intp]:
         """Rows between two samples that are not too far apart."""
-        inside = ~self.exact & (self.upto > 0) & (self.upto < self.t.size) & (self.width <= max_gap_s)
+        inside = ~self.exact & (self.upto > 0) & (self.upto < self.t.size) & (self.width <= self.max_gap_s)
         return np.flatnonzero(inside)
 
-    def means(self, raster_s: float) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
+    @cached_property
+    def means(self) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
         """Rows with two samples or more in the step that ends there; first and end index of these samples,
         one after the other; and their number."""
-        start = np.searchsorted(self.t, self.rows - raster_s + 1e-9, side="right")
+        start = np.searchsorted(self.t, self.rows - self.raster_s + 1e-9, side="right")
         several = np.flatnonzero(self.upto - start >= 2)
         pairs = np.column_stack([start[several], self.upto[several]]).ravel()
         return several, pairs, (self.upto - start)[several]

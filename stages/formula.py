@@ -47,6 +47,7 @@ FUNCTIONS: dict[str, Callable[..., Any]] = {
     "leak_flow": leak_flow,
     "or_else": or_else,
 }
+_GLOBALS = {"__builtins__": {}, **FUNCTIONS}
 _ALLOWED = (
     ast.Expression, ast.BinOp, ast.UnaryOp, ast.Call, ast.Name, ast.Load, ast.Constant,
     ast.Add, ast.Sub, ast.Mult, ast.Div, ast.Pow, ast.USub, ast.UAdd,
@@ -105,11 +106,14 @@ class Formula:
         Raises:
             RecipeError: a name is not among ``columns``.
         """
-        if missing := sorted(self.names - columns.keys()):
-            hint = did_you_mean(missing[0], columns)
-            raise RecipeError(f"formula {self.text!r}: there is no {missing[0]!r} here; {hint}")
-        scope = {**FUNCTIONS, **{n: columns[n] for n in self.names}}
+        try:
+            scope = {n: columns[n] for n in self.names}
+        except KeyError:
+            missing = min(self.names - columns.keys())
+            hint = did_you_mean(missing, columns)
+            raise RecipeError(f"formula {self.text!r}: there is no {missing!r} here; {hint}") from None
         scope |= {place: columns[n] for place, n in self._quoted.items()}
         with np.errstate(all="ignore"):
-            value = np.asarray(eval(self._code, {"__builtins__": {}}, scope), dtype=np.float64)
-        return np.where(np.isfinite(value), value, np.nan)
+            value = np.asarray(eval(self._code, _GLOBALS, scope), dtype=np.float64)
+        finite = np.isfinite(value)
+        return value if finite.all() else np.where(finite, value, np.nan)

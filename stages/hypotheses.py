@@ -24,6 +24,7 @@ from stages.stage import RowWise
 
 Array = NDArray[np.float64]
 THETA, ELAPSED = "theta", "elapsed"
+Evaluated = tuple[Array, Array, Array, Array]
 CHUNK = 1 << 17  # rows times hypotheses computed at once: bounds memory
 
 
@@ -145,32 +146,45 @@ class Points:
             plans.append(plan)
         return plans
 
-    def evaluate(self, values: Mapping[str, Array], elapsed: Array) -> tuple[Array, Array, Array, Array]:
-        """Residuals, their spreads and the doubts of their relations, each (rows, residuals, points); and the
-        least novelty that any point gives them, shape (rows, residuals)."""
-        n, H, R = len(elapsed), self.count, len(self.residuals)
-        e, sigma, doubt = (np.empty((n, R, H)) for _ in range(3))
-        novelty = np.full((n, R), np.inf)
-        step = max(1, CHUNK // H)
-        for k in range(0, n, step):
+    def evaluate(self, values: Mapping[str, Array], elapsed: Array) -> Evaluated:
+        """As :meth:`evaluated`, from what the chain and the corrections read."""
+        step = max(1, CHUNK // self.count)
+        found = self._empty(len(elapsed))
+        for k in range(0, len(elapsed), step):
             rows = slice(k, k + step)
             base = self.as_it_is({c: x[rows] for c, x in values.items()}, elapsed[rows])
-            place, computed = slice(0, 1), base
-            for i in range(len(self.hypotheses) + 1):
-                if i > 0:
-                    sizes = np.array(self.sizes[i - 1])
-                    if not sizes.size:
-                        continue
-                    place = slice(place.stop, place.stop + len(sizes))
-                    computed = self.undone(base, [(i - 1, sizes)])
-                for r, name in enumerate(self.residuals):
-                    e[rows, r, place] = computed[RESIDUAL + name].T
-                    sigma[rows, r, place] = computed[SIGMA + name].T
-                    doubt[rows, r, place] = computed[MODEL_SD + name].T
-                    least = np.fmin.reduce(computed[UNFAMILIAR + name], axis=0)
-                    novelty[rows, r] = np.fmin(novelty[rows, r], least)
-        doubt = np.sqrt(doubt**2 + (self._inexact * (e - e[:, :, :1])) ** 2)
-        return e, sigma, doubt, novelty
+            self._fill(base, *(x[rows] for x in found))
+        return found
+
+    def evaluated(self, base: Mapping[str, Array]) -> Evaluated:
+        """Residuals, their spreads and the doubts of their relations, each (rows, residuals, points); and the
+        least novelty that any point gives them, shape (rows, residuals); from :meth:`as_it_is`."""
+        found = self._empty(base[ELAPSED].size)
+        self._fill(base, *found)
+        return found
+
+    def _empty(self, rows: int) -> Evaluated:
+        R = len(self.residuals)
+        e, sigma, doubt = (np.empty((rows, R, self.count)) for _ in range(3))
+        return e, sigma, doubt, np.full((rows, R), np.inf)
+
+    def _fill(self, base: Mapping[str, Array], e: Array, sigma: Array, doubt: Array, novelty: Array) -> None:
+        place, computed = slice(0, 1), base
+        for i in range(len(self.hypotheses) + 1):
+            if i > 0:
+                sizes = np.array(self.sizes[i - 1])
+                if not sizes.size:
+                    continue
+                place = slice(place.stop, place.stop + len(sizes))
+                computed = self.undone(base, [(i - 1, sizes)])
+            for r, name in enumerate(self.residuals):
+                e[:, r, place] = computed[RESIDUAL + name].T
+                sigma[:, r, place] = computed[SIGMA + name].T
+                doubt[:, r, place] = computed[MODEL_SD + name].T
+                least = np.fmin.reduce(computed[UNFAMILIAR + name], axis=0)
+                np.fmin(novelty[:, r], least, out=novelty[:, r])
+        inexact = self._inexact * (e - e[:, :, :1])
+        np.sqrt(doubt * doubt + inexact * inexact, out=doubt)
 
     def as_it_is(self, values: Mapping[str, Array], elapsed: Array) -> dict[str, Array]:
         """The log's and the chain's columns, shape (1, rows)."""

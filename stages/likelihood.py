@@ -35,6 +35,7 @@ from stages.size_grid import Grid
 
 Array = NDArray[np.float64]
 A11, B1, Q, D, A12, A22, B2 = range(7)
+CENTRE, LN_2 = 0.5**0.5, 0.6931471805599453
 SUMS, PLAIN = 7, 4  # sums; those needed where there is one shape
 
 
@@ -131,8 +132,7 @@ def log_likelihoods(S: Array, sd: Array, unknown_sd: Array) -> Array:  # pragma:
                 explained = (v1 * a22 * b1 * b1 - 2.0 * v1 * v2 * a12 * b1 * b2 + v2 * a11 * b2 * b2) / det
             L[p] -= 0.5 * (S[r, Q, p] - explained)
             determinant[p] *= det
-    for p in range(P):
-        L[p] -= 0.5 * np.log(determinant[p])
+    add_logarithms(L, -0.5, determinant)
     return L
 
 
@@ -168,6 +168,24 @@ def informed(
                 q = p if p == P - 1 or prior[p] > -np.inf else 0
                 sums[r, k, p] += share * (whole[r, k, q] - recent[r, k, q])
     return sums
+
+
+@njit(cache=True, error_model="numpy")
+def add_logarithms(L: Array, factor: float, x: Array) -> None:  # pragma: no cover - compiled
+    """``L += factor ln x`` for normal x > 0, in place.
+
+    With ``x = 2^k m``, m in [1/2, 1) from its bits, and ``s = (m - c) / (m + c)``, ``c = 1 / sqrt(2)``:
+    ``ln x = (k - 1/2) ln 2 + 2 (s + s^3 / 3 + ... + s^15 / 15)``, to 1e-14. Unlike a library's it is computed
+    for several points at a time.
+    """
+    bits = x.view(np.int64)
+    mantissa = ((bits & 0x000FFFFFFFFFFFFF) | 0x3FE0000000000000).view(np.float64)
+    for p in range(len(x)):
+        s = (mantissa[p] - CENTRE) / (mantissa[p] + CENTRE)
+        z = s * s
+        series = 1 / 7 + z * (1 / 9 + z * (1 / 11 + z * (1 / 13 + z / 15)))
+        series = s * (1.0 + z * (1 / 3 + z * (1 / 5 + z * series)))
+        L[p] += factor * (((bits[p] >> 52) - 1022.5) * LN_2 + 2.0 * series)
 
 
 @njit(cache=True, error_model="numpy")

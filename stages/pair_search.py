@@ -1,4 +1,7 @@
-"""Search for two faults at once: both are undone at a few sizes, then Newton's steps."""
+"""Search for two faults at once: Newton's steps on their likelihood.
+
+Where to begin, and whether at all, is said by what each does alone (:mod:`stages.additive`).
+"""
 
 from __future__ import annotations
 
@@ -10,14 +13,16 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.hypotheses import ELAPSED, Points
-from stages.likelihood import A11, A12, A22, B1, B2, SUMS, D, Q, log_likelihoods, peak
+from stages.additive import Additive
+from stages.hypotheses import ELAPSED, Evaluated, Points
+from stages.likelihood import log_likelihoods, peak
+from stages.pooled import Blend, as_computed, pooled
 from stages.relations import familiarity
 from stages.residuals import MODEL_SD, RESIDUAL, SIGMA, UNFAMILIAR
 from stages.size_grid import Grid
 
 Array = NDArray[np.float64]
-ALL = slice(None)
+SETTLED = 0.02  # standard deviations that a last step of Newton's is at most
 
 
 @dataclass(frozen=True)
@@ -51,70 +56,47 @@ class Window:
         return self.points.as_it_is(self.values, self.values[ELAPSED])
 
     @cached_property
-    def plain(self) -> Array:
-        """The residuals of the log as it is, shape (rows, residuals)."""
-        return np.column_stack([self.base[RESIDUAL + r][0] for r in self.points.residuals])
+    def computed(self) -> Evaluated:
+        """As :meth:`stages.hypotheses.Points.evaluated`."""
+        return self.points.evaluated(self.base)
 
-    def likelihood(self, e: Array, sigma: Array, doubt: Array, rows: slice = ALL) -> Array:
-        """L of each point, shape (points,), from (rows, residuals, points); spikes are held near zero or the
-        rows' mean."""
-        known, weight = np.isfinite(e) & np.isfinite(sigma), self.weight[rows, :, None]
-        w = np.where(known, weight / sigma**2, 0.0)
-        e, ln_sigma = np.nan_to_num(e), np.where(known, np.log(sigma), 0.0)
-        mean = (w * e).sum(axis=0) / np.maximum(w.sum(axis=0), 1e-300)
-        reach = self.clip * np.nan_to_num(sigma, nan=np.inf)
-        e = np.clip(e, np.minimum(mean, 0.0) - reach, np.maximum(mean, 0.0) + reach)
-        h1, h2 = self.shapes[rows, :, :1], self.shapes[rows, :, 1:]
-        S = np.zeros((e.shape[1], SUMS, e.shape[2] + 1))
-        S[:, A11, :-1] = (w * h1**2).sum(axis=0)
-        S[:, A12, :-1] = (w * h1 * h2).sum(axis=0)
-        S[:, A22, :-1] = (w * h2**2).sum(axis=0)
-        S[:, B1, :-1] = (w * h1 * e).sum(axis=0)
-        S[:, B2, :-1] = (w * h2 * e).sum(axis=0)
-        S[:, Q, :-1] = (w * e**2 + 2.0 * weight * ln_sigma).sum(axis=0)
-        S[:, D, :-1] = (w * h1**2 * np.nan_to_num(doubt) ** 2).sum(axis=0)
-        return np.asarray(log_likelihoods(S, self.sd, self.sd)[:-1])
+    def likelihood(self, e: Array, sigma: Array, doubt: Array, blend: Blend | None = None) -> Array:
+        """L of each point of ``blend``, of all computed ones by default, shape (points,), from (rows,
+        residuals, computed points)."""
+        e, sigma, doubt = (np.ascontiguousarray(x) for x in (e, sigma, doubt))
+        blend = blend or as_computed(e.shape[2])
+        S = pooled((e, sigma, np.log(sigma), doubt), blend, self.shapes, self.weight, self.clip)
+        return np.asarray(log_likelihoods(S, self.sd, self.sd))
 
     @cached_property
-    def computed(self) -> tuple[Array, Array, Array, Array]:
-        """As :meth:`stages.hypotheses.Points.evaluate`."""
-        return self.points.evaluate(self.values, self.values[ELAPSED])
+    def on_grid(self) -> Array:
+        """L at all points of the refined grid."""
+        return self.likelihood(*self.computed[:3], Blend(*self.grid[:3]))
 
     @cached_property
-    def _refined(self) -> tuple[Array, Array, Array]:
-        """Residuals, spreads and doubts at all points of the refined grid."""
-        grid, share = self.grid, self.grid.share
-        e, sigma, doubt = (
-            (1.0 - share) * x[:, :, grid.left] + share * x[:, :, grid.right] for x in self.computed[:3]
-        )
-        return e, sigma, doubt
-
-    def _peaks(self, rows: slice = ALL) -> list[tuple[float, float]]:
-        """Of each fault alone, its size and the logarithm of its marginal likelihood in some ``rows``."""
-        e, sigma, doubt = self._refined
-        L = self.likelihood(e[rows], sigma[rows], doubt[rows], rows)
-        found = []
-        for sizes, points, count in zip(self.grid.sizes, self.grid.points, self.grid.counts, strict=True):
-            x = sizes[:count]
-            size, height, sd = peak(x, L[points[:count]])
-            found.append((size, height + np.log(min(1.0, np.sqrt(2 * np.pi) * sd / (x[-1] - x[0])))))
-        return found
+    def plain(self) -> float:
+        """L of the log as it is."""
+        return float(self.on_grid[0])
 
     @cached_property
     def singles(self) -> list[tuple[float, float]]:
         """Of each fault alone, its size and the logarithm of its marginal likelihood."""
-        return self._peaks()
+        found = []
+        for sizes, points, count in zip(self.grid.sizes, self.grid.points, self.grid.counts, strict=True):
+            x = sizes[:count]
+            size, height, sd = peak(x, self.on_grid[points[:count]])
+            found.append((size, height + np.log(min(1.0, np.sqrt(2 * np.pi) * sd / (x[-1] - x[0])))))
+        return found
 
     @cached_property
     def most(self) -> float:
         """The largest of them."""
         return max(height for _, height in self.singles)
 
-    @cached_property
+    @property
     def explained(self) -> float:
         """How much likelier the best fault is than the log as it is."""
-        e, sigma, doubt = (x[:, :, :1] for x in self.computed[:3])
-        return max(self.most - float(self.likelihood(e, sigma, doubt)[0]), 0.0)
+        return max(self.most - self.plain, 0.0)
 
     def unknown(self, sd: Array) -> float:
         """L of the log as it is with offsets of ``sd`` (residuals, 2), spikes and all."""
@@ -127,24 +109,48 @@ class Window:
         quarters."""
         n, most = len(self.weight), self.most
         for k in (n // 4, n // 2, 3 * n // 4):
-            parts = zip(self._peaks(slice(0, k)), self._peaks(slice(k, n)), strict=True)
+            parts = zip(self.part(slice(0, k)).singles, self.part(slice(k, n)).singles, strict=True)
             most = max([most, *(before + after for (_, before), (_, after) in parts)])
         return most
 
+    def part(self, rows: slice, times: float = 1.0) -> Window:
+        """Some of the samples, ``times`` as heavy; what is computed of them is kept."""
+        values = {c: x[rows] for c, x in self.values.items()}
+        part = replace(self, values=values, shapes=self.shapes[rows].copy(), weight=times * self.weight[rows])
+        if "computed" in vars(self):
+            vars(part)["computed"] = tuple(x[rows] for x in self.computed)
+            vars(part)["base"] = {c: x[:, rows] for c, x in self.base.items()}
+        return part
+
     def thinned(self, rows: int) -> Window:
         """About ``rows`` of the samples, evenly, that weigh as much as all."""
-        step = max(1, len(self.weight) // rows)
-        values = {c: x[::step] for c, x in self.values.items()}
-        return replace(self, values=values, shapes=self.shapes[::step], weight=step * self.weight[::step])
+        step = len(self.weight) // rows
+        return self if step < 2 else self.part(slice(None, None, step), step)
 
-    def start(
-        self, i: int, j: int, first: Sequence[float], second: Sequence[float]
-    ) -> tuple[float, tuple[float, float]]:
-        """The largest L where two hypotheses have sizes of ``first`` and ``second``, and those."""
-        sizes = np.array([*product(first, second)])
-        L = self.both(i, j, sizes)
-        best = int(L.argmax())
-        return float(L[best]), (float(sizes[best, 0]), float(sizes[best, 1]))
+    def trusted(self, known: Array) -> Window:
+        """The same samples by a share ``known`` (rows, residuals) of their weight."""
+        if (known == 1.0).all():
+            return self
+        other = replace(self, weight=self.weight * known)
+        vars(other).update({k: x for k, x in vars(self).items() if k in ("base", "computed")})
+        return other
+
+    def supposing(self, points: Points, grid: Grid) -> Window:
+        """The same samples with other hypotheses."""
+        other = replace(self, points=points, grid=grid)
+        vars(other)["base"] = self.base
+        return other
+
+    @cached_property
+    def additive(self) -> Additive:
+        """What two faults at once would explain, about."""
+        likeliest = int(np.argmax([height for _, height in self.singles]))
+        sizes = self.grid.sizes[likeliest, : self.grid.counts[likeliest]]
+        near = self.grid.points[likeliest, np.abs(sizes - self.singles[likeliest][0]).argmin()]
+        return Additive.of(
+            self.grid, self.sd, self.computed[:3], self.shapes, self.weight,
+            near=int(self.grid.left[near]), clip=self.clip,
+        )  # fmt: skip
 
     def familiar(self, pairs: Sequence[tuple[int, int, Pair]], known_to: float) -> Window:
         """The samples that a single fault or one of the ``pairs`` brings to where relations were trained."""
@@ -153,15 +159,6 @@ class Window:
             found = self._undone(i, j, np.array([pair.sizes]))
             novelty.append(self._stacked(found, UNFAMILIAR, 1)[:, :, 0])
         return self.trusted(familiarity(np.nan_to_num(novelty, nan=np.inf).min(axis=0), known_to))
-
-    def trusted(self, known: Array) -> Window:
-        """The same samples by a share ``known`` (rows, residuals) of their weight; what is computed is
-        kept."""
-        other = replace(self, weight=self.weight * known)
-        vars(other).update(
-            {k: x for k, x in vars(self).items() if k in ("base", "plain", "computed", "_refined")}
-        )
-        return other
 
     def _undone(self, i: int, j: int, sizes: Array) -> dict[str, Array]:
         return self.points.undone(self.base, [(i, sizes[:, 0]), (j, sizes[:, 1])])
@@ -176,8 +173,14 @@ class Window:
         found = self._undone(i, j, sizes)
         e, sigma, doubt = (self._stacked(found, kind, len(sizes)) for kind in (RESIDUAL, SIGMA, MODEL_SD))
         inexact = max(self.points.hypotheses[k].inexact for k in (i, j))
-        doubt = np.sqrt(doubt**2 + (inexact * (e - self.plain[:, :, None])) ** 2)
-        return self.likelihood(e, sigma, doubt)
+        plain = self._stacked(self.base, RESIDUAL, 1)
+        return self.likelihood(e, sigma, np.sqrt(doubt**2 + (inexact * (e - plain)) ** 2))
+
+    def start(self, i: int, j: int, first: Sequence[float], second: Sequence[float]) -> tuple[float, float]:
+        """The likeliest sizes of two hypotheses among ``first`` and ``second``."""
+        sizes = np.array([*product(first, second)])
+        x, y = sizes[int(self.both(i, j, sizes).argmax())]
+        return float(x), float(y)
 
     def refined(self, i: int, j: int, start: Pair | tuple[float, float], steps: int) -> Pair:
         """The pair near ``start`` that is most likely, by Newton's steps on differences."""
@@ -197,7 +200,10 @@ class Window:
             H[0, 1] = H[1, 0] = (L[5] - L[6] - L[7] + L[8]) / (4 * h[0] * h[1])
             if (np.linalg.eigvalsh(H) < 0).all():
                 C = -np.linalg.inv(H)
-                at = at + np.clip(C @ gradient, -4 * h, 4 * h)
+                step = C @ gradient
+                if (np.abs(step) < SETTLED * np.sqrt(np.diag(C))).all():
+                    break
+                at = at + np.clip(step, -4 * h, 4 * h)
                 h = np.clip(np.sqrt(np.diag(C)), 0.25 * h, h)
             else:
                 at = best

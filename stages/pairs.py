@@ -1,10 +1,11 @@
 """Pairs: two faults at once, where one alone leaves something unexplained.
 
-After the stage `isolate`, on the last ``rows`` usable samples of an alarm, whenever the alarm has three times
-as many as before. A sensor's fault and another of ``faults`` are undone one after the other at a few sizes
-and on a few samples. Where no second fault adds to the likeliest one, that is all. Else Newton's steps on the
-log-likelihood L (:mod:`stages.likelihood`) find both sizes. With d the standard deviation of a size, C the
-covariance of the two, and f* the best single fault,
+After the stage `isolate`, on at most ``rows`` of an alarm's usable samples, evenly, whenever the alarm has
+twice as many as before. Where a second fault adds little to what the likeliest one explains
+(:mod:`stages.additive`), that is all. Else a sensor's fault and another of ``faults`` are undone one after
+the other at a few sizes and on a few samples, and Newton's steps on the log-likelihood L
+(:mod:`stages.likelihood`) find both sizes. With d the standard deviation of a size, C the covariance of the
+two, and f* the best single fault,
 
     evidence_fg = evidence_f* + L_fg + ln(2 pi |C|^1/2 / ranges) - max(L_f* + least, L_h),
     L_f* = max_f [L_f + ln(sqrt(2 pi) d / range)],
@@ -21,7 +22,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import combinations
+from itertools import combinations, pairwise
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -38,16 +39,16 @@ from stages.results import DETECTION, EVIDENCE, OF, PAIR, PROBABILITY, SENSOR, S
 from stages.stage import ANALYSIS, Stage, add_columns, columns
 
 Array = NDArray[np.float64]
-FIRST, GROWTH = 20, 3.0  # samples of an alarm before pairs are looked at, and after which factor again
-REFINED, FEW, SOME = 12, 50, 200  # pairs at most, samples to find them and rarer faults by
+FIRST, GROWTH = 40, 2.0  # samples of an alarm before pairs are looked at, and after which factor again
+FEW, SOME = 50, 160  # samples to find two sizes by, and whether there are two
 STANDS_FOR = "stands_for"  # s
 NOTHING = Pair(-np.inf, -np.inf, 0.0, (np.nan, np.nan), (np.nan, np.nan))
 
 
 @dataclass(frozen=True, eq=False)
 class PairsState:
-    """The alarm's last usable samples, how many there were, when to look again, the time of the log's first
-    row and of the last, and what was found: pairs, and the rarer faults."""
+    """Of the alarm's usable samples every so many, how many there were, when to look again, the time of the
+    log's first row and of the last, and what was found: pairs, and the rarer faults."""
 
     samples: Mapping[str, Array] = field(default_factory=dict)
     count: int = 0
@@ -64,14 +65,14 @@ class Pairs:
     ``least_share``: how much likelier than a single fault a pair must be (natural logarithm), and which part
     of what that explains; ``model_error``: the part of a pair's evidence over a single fault by which
     evidence may be wrong; ``alike``: faults any two of which look the same, so that their pairs share their
-    probability; ``rows``: samples to look at; ``also``: rarer faults by the sensor that can have them
-    (:mod:`stages.rarer`), with ``also_penalty``.
+    probability; ``rows``: samples to look at, at most; ``also``: rarer faults by the sensor that can have
+    them (:mod:`stages.rarer`), with ``also_penalty``.
 
     Raises:
         RecipeError: the stage before is not `isolate`, or has no such fault.
     """
 
-    version: ClassVar[str] = "7"
+    version: ClassVar[str] = "8"
     faults: tuple[str, ...] = ()
     penalty: float = 10.0
     least_share: float = 0.0007
@@ -140,74 +141,79 @@ class Pairs:
         samples = {c: values[c] for c in wanted} | {ELAPSED: time - state.first, STANDS_FOR: dt}
         found: dict[int, Mapping[str, Pair]] = {0: state.found}  # from a row on
         rare: dict[int, Mapping[str, Alone]] = {0: state.rare}
-        taken = 0
-        for k in np.flatnonzero(on | np.append(True, on[:-1])).tolist():
-            if not on[k]:
-                state, taken, found[k] = PairsState(first=state.first), k + 1, {}
-                rare[k] = {}
-            elif usable[k]:
-                state = replace(state, count=state.count + 1)
-                if state.count >= state.due:
-                    kept = self._kept(state, samples, usable, slice(taken, k + 1))
-                    taken = k + 1
-                    due = int(np.ceil(GROWTH * state.count))
-                    found[k], rare[k] = self._judged(self._window(kept))
-                    state = replace(state, samples=kept, due=due, found=found[k], rare=rare[k])
-        kept = self._kept(state, samples, usable, slice(taken, time.size))
-        state = replace(state, samples=kept, time=float(time[-1]))
-        return state, add_columns(block, self._columns(values, found, rare))
+        for a, b in pairwise([0, *(np.flatnonzero(np.diff(on)) + 1).tolist(), time.size]):
+            if not on[a]:
+                state, found[a], rare[a] = PairsState(first=state.first), {}, {}
+                continue
+            new = a + np.flatnonzero(usable[a:b])
+            while new.size:
+                seen = min(state.due - state.count, new.size)
+                state = self._seen(state, samples, new[:seen])
+                if state.count == state.due:
+                    k = int(new[seen - 1])
+                    found[k], rare[k] = self._judged(self._window(state), state.found)
+                    due = int(np.ceil(GROWTH * state.due))
+                    state = replace(state, due=due, found=found[k], rare=rare[k])
+                new = new[seen:]
+        return replace(state, time=float(time[-1])), add_columns(block, self._columns(values, found, rare))
 
-    def _kept(
-        self, state: PairsState, samples: Mapping[str, Array], usable: NDArray[np.bool_], rows: slice
-    ) -> dict[str, Array]:
-        """The last usable samples, with those of ``rows``."""
-        new = {c: x[rows][usable[rows]] for c, x in samples.items()}
-        old = state.samples
-        return {
-            c: np.concatenate([old[c], x])[-self.rows :] if old else x[-self.rows :] for c, x in new.items()
-        }
+    def _apart(self, count: int) -> int:
+        """One in how many of an alarm's first ``count`` samples is kept."""
+        return 1 << max(0, int(np.ceil(np.log2(max(count, 1) / self.rows))))
 
-    def _window(self, samples: dict[str, Array]) -> Window:
-        isolate = self.isolate
+    def _seen(self, state: PairsState, samples: Mapping[str, Array], new: NDArray[np.intp]) -> PairsState:
+        """The state after rows ``new``; which samples are kept depends on their number in the alarm alone."""
+        count, old = state.count + new.size, state.samples
+        apart = self._apart(count)
+        fewer = apart // self._apart(state.count)
+        new = new[np.arange(state.count, count) % apart == 0]
+        kept = {c: np.concatenate([old[c][::fewer] if old else [], x[new]]) for c, x in samples.items()}
+        return replace(state, samples=kept, count=count)
+
+    def _window(self, state: PairsState) -> Window:
+        isolate, samples = self.isolate, dict(state.samples)
         points, shapes = isolate.points, isolate.shapes(samples, isolate.points.residuals)
-        weight = isolate.weight(samples[STANDS_FOR])
+        weight = isolate.weight(self._apart(state.count) * samples[STANDS_FOR])
         return Window(points, isolate.grid, samples, shapes, isolate.sd, weight, isolate.clip)
 
-    def _judged(self, window: Window) -> tuple[Mapping[str, Pair], Mapping[str, Alone]]:
+    def _judged(
+        self, window: Window, before: Mapping[str, Pair]
+    ) -> tuple[Mapping[str, Pair], Mapping[str, Alone]]:
         """The pairs and the rarer faults that are more evident than one usual fault."""
-        rare: Mapping[str, Alone] = {}
+        some, rare = window.thinned(SOME), dict[str, Alone]()
         if self.rarer:
-            some = window.thinned(SOME)
             penalty = self.also_penalty + self._least(some) - self.penalty
             rare = self.rarer.compared(some, self.isolate, penalty)
-        # where another kind of fault says more than one of the usual ones, two of these may, too
-        return self._search(window, all_of_them=any(x.height > 0 for x in rare.values())), rare
+        return self._search(window, some, before), rare
 
     def _least(self, window: Window) -> float:
         """How much likelier than one fault two must be."""
         return self.penalty + self.least_share * window.explained
 
-    def _search(self, window: Window, *, all_of_them: bool) -> dict[str, Pair]:
-        """The pairs that say more than any single fault, their sizes refined; ``height`` is by how much."""
-        isolate = self.isolate
-        few, drifts, names = window.thinned(FEW), len(isolate.drifts), [*isolate.hypotheses]
-        place = {f: drifts + k for k, f in enumerate(names)}
-        single = {f: size for f, (size, _) in zip(names, few.singles, strict=True)}
-        sizes = {f: [*isolate.hypotheses[f].sizes[::3], single[f]] for f in names}
-        likeliest = names[int(np.argmax([height for _, height in few.singles]))]
-        starts: dict[str, tuple[float, tuple[float, float]]] = {}
-        enough = few.most + 0.5 * self._least(few)
-        # those with the likeliest fault first: where nothing adds to it, one fault is enough
-        for pair in sorted(self.pairs, key=lambda p: likeliest not in self.pairs[p]):
-            a, b = self.pairs[pair]
-            if likeliest not in (a, b) and starts and not all_of_them and _most(starts) < enough:
-                return {}
-            starts[pair] = few.start(place[a], place[b], sizes[a], sizes[b])
-        likely = sorted((p for p in starts if starts[p][0] > few.most), key=lambda p: -starts[p][0])
+    def _search(self, window: Window, some: Window, before: Mapping[str, Pair]) -> dict[str, Pair]:
+        """The pairs that say more than any single fault, their sizes refined; ``height`` is by how much;
+        ``some`` of the samples are to find them; ``before``: those that were found by then. A fault that is
+        smaller than the smallest size of its grid is none."""
+        isolate, few = self.isolate, some.thinned(FEW)
+        names, drifts = [*isolate.hypotheses], len(isolate.drifts)
+        place = {f: k for k, f in enumerate(names)}
+        least = {f: 0.99 * min(map(abs, isolate.hypotheses[f].sizes)) for f in names}
+        about = {
+            p: some.additive.pair(place[a], place[b], (least[a], least[b]))
+            for p, (a, b) in self.pairs.items()
+        }
+        if max((gain for gain, _ in about.values()), default=0.0) < self._least(some):
+            return {}
+        sizes = {f: [*isolate.hypotheses[f].sizes[::3], few.singles[k][0]] for f, k in place.items()}
         at: dict[str, tuple[int, int, Pair]] = {}
-        for pair in likely[:REFINED]:
-            i, j = (place[f] for f in self.pairs[pair])
-            at[pair] = i, j, window.refined(i, j, few.refined(i, j, starts[pair][1], 8), 2)
+        for pair, (a, b) in self.pairs.items():
+            i, j = drifts + place[a], drifts + place[b]
+            known = [x.sizes for x in (before.get(pair),) if x]
+            first, second = zip(about[pair][1], *known, strict=True)
+            start = few.start(i, j, [*sizes[a], *first], [*sizes[b], *second])
+            x = window.refined(i, j, few.refined(i, j, start, 12), 2)
+            if abs(x.sizes[0]) >= least[a] and abs(x.sizes[1]) >= least[b]:
+                at[pair] = i, j, x
         if not at:
             return {}
         familiar = window.familiar(list(at.values()), isolate.known_to)
@@ -268,7 +274,3 @@ class Pairs:
         for fault, some in self.also.items():
             share[fault] = np.sum([share.pop(fault + OF + s) for s in some], axis=0)
         return added | {PROBABILITY + f: row.astype(np.float32) for f, row in share.items()}
-
-
-def _most(starts: Mapping[str, tuple[float, tuple[float, float]]]) -> float:
-    return max(L for L, _ in starts.values())

@@ -21,7 +21,7 @@ several sensors can have it.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -69,17 +69,11 @@ class Rarer:
 
     def compared(self, usual: Window, isolate: Isolate, penalty: float) -> dict[str, Alone]:
         """How each stands beside the hypotheses of the window, which are those of ``isolate``."""
-        window = replace(usual, points=self.points, grid=self.grid)
-        computed = window.computed
-        known = familiarity(np.minimum(usual.computed[3], computed[3]), isolate.known_to)
-        usual = usual.trusted(known)
+        window = usual.supposing(self.points, self.grid)
+        known = familiarity(np.minimum(usual.computed[3], window.computed[3]), isolate.known_to)
+        usual, window = usual.trusted(known), window.trusted(known)
         unknown = usual.unknown(isolate.wide_sd) - isolate.unknown_penalty
-        best = usual.most
-        grid, share = self.grid, self.grid.share
-        e, sigma, doubt = (
-            (1.0 - share) * x[:, :, grid.left] + share * x[:, :, grid.right] for x in computed[:3]
-        )
-        L = replace(window, weight=usual.weight).likelihood(e, sigma, doubt)
+        best, L, grid = usual.most, window.on_grid, self.grid
         found: dict[str, tuple[float, float, float]] = {}
         for k, name in enumerate(self.names):
             x = grid.sizes[k, : grid.counts[k]]
