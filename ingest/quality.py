@@ -132,20 +132,21 @@ class Samples:
 
     def _add_steps(self, t: Floats, x: Floats) -> None:
         before_t, before = self.tail
-        if len(x) < _MANY:  # few enough to look at them with the four before
-            self._look(np.append(before_t, t), np.append(before, x))
-        else:
-            self._look(np.append(before_t, t[:4]), np.append(before, x[:4]))
-            self._look(t, x)
         step = np.diff(x)
+        if len(x) < _MANY:  # few enough to look at them with the four before
+            near_t, near = np.append(before_t, t), np.append(before, x)
+        else:
+            near_t, near = np.append(before_t, t[:4]), np.append(before, x[:4])
+        self._look(near_t, near, np.diff(near))
+        if len(x) >= _MANY:
+            self._look(t, x, step)
         first = x[0] - before[-1] if len(before) else 0.0
         self.steps += len(step) + bool(len(before))
         self.squares += _squares(step) + float(first * first)
         self.tail = np.append(before_t, t[-4:])[-4:], np.append(before, x[-4:])[-4:]
 
-    def _look(self, t: Floats, x: Floats) -> None:
-        """Notes what may be spikes, two samples from either end or more."""
-        step = np.diff(x)
+    def _look(self, t: Floats, x: Floats, step: Floats) -> None:
+        """Notes what may be spikes, two samples from either end or more; ``step``: from one to the next."""
         if len(x) < 5:
             return
         least = 0.0 if len(x) < _MANY else (0.5 * _SPIKE) ** 2 * _squares(step) / len(step)

@@ -24,7 +24,8 @@ from stages.likelihood import A11, A12, A22, B1, B2, SUMS, D, Q, log_likelihoods
 from stages.size_grid import Grid
 
 Array = NDArray[np.float64]
-REACH = 6.0  # steps of the grid that a vertex may be away from the best point
+EVERY = 2  # which points of the refined grid are looked at
+REACH = 4.0  # steps that a vertex may be away from the best of them
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +97,7 @@ class Additive:
         sizes then."""
         (x, p), (y, q) = (self.fault(k) for k in (f, g))
         large, wide = np.abs(x) >= least[0], np.abs(y) >= least[1]
-        x, p, y, q = x[large], p[large], y[wide], q[wide]
+        x, p, y, q = x[large][::EVERY], p[large][::EVERY], y[wide][::EVERY], q[wide][::EVERY]
         L = self.likelihood(p, q)
         i, j = (int(k) for k in np.unravel_index(L.argmax(), L.shape))
         best = float(L[i, j]) - self.single, (float(x[i]), float(y[j]))

@@ -1,7 +1,7 @@
 """Pairs: two faults at once, where one alone leaves something unexplained.
 
 After the stage `isolate`, on at most ``rows`` of an alarm's usable samples, evenly, whenever the alarm has
-twice as many as before. Where a second fault adds little to what the likeliest one explains
+2.5 times as many as before. Where a second fault adds little to what the likeliest one explains
 (:mod:`stages.additive`), that is all. Else a sensor's fault and another of ``faults`` are undone one after
 the other at a few sizes and on a few samples, and Newton's steps on the log-likelihood L
 (:mod:`stages.likelihood`) find both sizes. With d the standard deviation of a size, C the covariance of the
@@ -39,8 +39,8 @@ from stages.results import DETECTION, EVIDENCE, OF, PAIR, PROBABILITY, SENSOR, S
 from stages.stage import ANALYSIS, Stage, add_columns, columns
 
 Array = NDArray[np.float64]
-FIRST, GROWTH = 40, 2.0  # samples of an alarm before pairs are looked at, and after which factor again
-FEW, SOME = 50, 160  # samples to find two sizes by, and whether there are two
+FIRST, GROWTH = 20, 2.5  # samples of an alarm before pairs are looked at, and after which factor again
+FEW, SOME = 50, 100  # samples to find two sizes by, and whether there are two
 STANDS_FOR = "stands_for"  # s
 NOTHING = Pair(-np.inf, -np.inf, 0.0, (np.nan, np.nan), (np.nan, np.nan))
 
