@@ -41,6 +41,7 @@ from stages.stage import ANALYSIS, Stage, add_columns, columns
 Array = NDArray[np.float64]
 FIRST, GROWTH = 20, 2.5  # samples of an alarm before pairs are looked at, and after which factor again
 FEW, SOME = 50, 100  # samples to find two sizes by, and whether there are two
+MIRRORED = 0.3  # of its size
 STANDS_FOR = "stands_for"  # s
 NOTHING = Pair(-np.inf, -np.inf, 0.0, (np.nan, np.nan), (np.nan, np.nan))
 
@@ -202,7 +203,7 @@ class Pairs:
             p: some.additive.pair(place[a], place[b], (least[a], least[b]))
             for p, (a, b) in self.pairs.items()
         }
-        if max((gain for gain, _ in about.values()), default=0.0) < self._least(some):
+        if max((gain for gain, _ in about.values()), default=0.0) < 0.5 * self._least(some):
             return {}
         sizes = {f: [*isolate.hypotheses[f].sizes[::3], few.singles[k][0]] for f, k in place.items()}
         at: dict[str, tuple[int, int, Pair]] = {}
@@ -214,6 +215,8 @@ class Pairs:
             x = window.refined(i, j, few.refined(i, j, start, 12), 2)
             if abs(x.sizes[0]) >= least[a] and abs(x.sizes[1]) >= least[b]:
                 at[pair] = i, j, x
+        named = int(np.argmax([height for _, height in window.singles]))
+        at = {p: x for p, x in at.items() if not self._mirrors(p, x[2], names[named], window.singles[named][0])}
         if not at:
             return {}
         familiar = window.familiar(list(at.values()), isolate.known_to)
@@ -224,6 +227,13 @@ class Pairs:
             L = familiar.both(i, j, np.array([x.sizes]))[0] + x.share
             found[pair] = replace(x, height=L - best, over_unknown=L - unknown)
         return found
+
+    def _mirrors(self, pair: str, found: Pair, single: str, size: float) -> bool:
+        """Whether a pair only says in other words that one fault of those alike has a ``size``: the two
+        others have about its opposite."""
+        faults = {*self.pairs[pair], single}
+        alike = len(faults) == 3 and any(faults <= {*group} for group in self.alike)
+        return alike and all(abs(x + size) <= MIRRORED * abs(size) for x in found.sizes)
 
     def _columns(
         self,
@@ -264,7 +274,8 @@ class Pairs:
             added[EVIDENCE + fault] = np.max([added[SENSOR + fault + OF + s] for s in some], axis=0)
         on = values[DETECTION] > 0
         x = np.array([*evidence.values()])
-        x *= temper / (1.0 + self.model_error * np.maximum(x[len(singles) :].max(axis=0) - best, 0.0))
+        gain = np.maximum(x[len(singles) :].max(axis=0) - best, 0.0)
+        x *= temper / (1.0 + self.model_error * gain + self.least_share / self.penalty * np.maximum(best, 0.0))
         odds = np.where(on, np.exp(x - x.max(axis=0)), 0.0)
         p = odds / np.maximum(odds.sum(axis=0), 1e-300)
         for group in self.alike:
