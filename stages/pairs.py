@@ -11,10 +11,11 @@ two, and f* the best single fault,
     L_f* = max_f [L_f + ln(sqrt(2 pi) d / range)],
 
 where least is ``penalty`` and ``least_share`` of what f* explains of the log as it is, and L_h that of the
-best single fault whose size changes once within the samples: one fault that grows or ends is not two. The
-probabilities are those of the stage before, with the pairs among the suppositions. Where a pair explains
-much, errors of the relations explain more, too: all evidence then counts ``1 / (1 + model_error gain)``. Two
-faults at once are a requirement of section 1.1.
+best single fault whose size changes once within the samples: one fault that grows or ends is not two. Nor are
+two of three faults ``alike`` that say no more than the third. The probabilities are those of the stage
+before, with the pairs among the suppositions. Where much is explained, errors of the relations explain more,
+too: all evidence then counts ``1 / (1 + model_error gain + least_share evidence_f* / penalty)``, with the
+gain of the best pair. Two faults at once are a requirement of section 1.1.
 """
 
 from __future__ import annotations
@@ -73,7 +74,7 @@ class Pairs:
         RecipeError: the stage before is not `isolate`, or has no such fault.
     """
 
-    version: ClassVar[str] = "8"
+    version: ClassVar[str] = "9"
     faults: tuple[str, ...] = ()
     penalty: float = 10.0
     least_share: float = 0.0007
@@ -216,7 +217,8 @@ class Pairs:
             if abs(x.sizes[0]) >= least[a] and abs(x.sizes[1]) >= least[b]:
                 at[pair] = i, j, x
         named = int(np.argmax([height for _, height in window.singles]))
-        at = {p: x for p, x in at.items() if not self._mirrors(p, x[2], names[named], window.singles[named][0])}
+        single, size = names[named], window.singles[named][0]
+        at = {pair: x for pair, x in at.items() if not self._mirrors(pair, x[2], single, size)}
         if not at:
             return {}
         familiar = window.familiar(list(at.values()), isolate.known_to)
@@ -275,7 +277,8 @@ class Pairs:
         on = values[DETECTION] > 0
         x = np.array([*evidence.values()])
         gain = np.maximum(x[len(singles) :].max(axis=0) - best, 0.0)
-        x *= temper / (1.0 + self.model_error * gain + self.least_share / self.penalty * np.maximum(best, 0.0))
+        unsure = self.least_share / max(self.penalty, 1.0) * np.maximum(best, 0.0)
+        x *= temper / (1.0 + self.model_error * gain + unsure)
         odds = np.where(on, np.exp(x - x.max(axis=0)), 0.0)
         p = odds / np.maximum(odds.sum(axis=0), 1e-300)
         for group in self.alike:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import polars as pl
 import pytest
@@ -9,6 +11,7 @@ from made_up_engine import HYPOTHESES, STAGES, drive, fitted_to
 
 from ingest.errors import RecipeError
 from ingest.log import Group, Log
+from stages.pair_search import Pair
 from stages.pairs import Pairs
 from stages.stage import ANALYSIS, Stage, connected, transform
 
@@ -84,6 +87,32 @@ def test_pairs_that_look_the_same_share_their_probability() -> None:
         len({last[f"p.{p}"] for p in ("flow_gain+leak", "flow_gain+pressure_gain", "leak+pressure_gain")})
         == 1
     )
+
+
+@pytest.mark.parametrize(
+    ("sizes", "mirrors"), [((0.05, 0.04), True), ((0.05, -0.05), False), ((0.05, 0.09), False)]
+)
+def test_two_of_three_alike_that_say_no_more_than_the_third_are_none(
+    fitted: list[Stage], sizes: tuple[float, float], mirrors: bool
+) -> None:
+    pairs, found = fitted[-1], Pair(0.0, 0.0, 0.0, sizes, (0.01, 0.01))
+    assert isinstance(pairs, Pairs)
+    alike = replace(pairs, alike=(("flow_gain", "pressure_gain", "leak"),))
+    assert alike._mirrors("leak+pressure_gain", found, "flow_gain", -0.05) is mirrors
+    assert not alike._mirrors("leak+pressure_gain", found, "leak", -0.05)
+    assert not pairs._mirrors("leak+pressure_gain", found, "flow_gain", -0.05)
+
+
+def test_the_more_there_is_to_explain_the_less_sure_is_a_small_difference(fitted: list[Stage]) -> None:
+    pairs, behind = fitted[-1], Pair(-10.0, -np.inf, 0.0, (0.05, 0.05), (0.01, 0.01))
+    assert isinstance(pairs, Pairs)
+    best = np.array([0.0, 1e2, 1e4, 1e5])
+    values = {"detection": np.ones(4), "evidence.flow_gain": best}
+    values |= {"evidence." + f: best - 50 * (1 + best / 10) for f in ("pressure_gain", "leak", "unknown")}
+    found = pairs._columns(values, {0: {"leak+pressure_gain": behind}}, {0: {}})
+    p = found["p.leak+pressure_gain"]
+    assert (np.diff(p) > 0).all()
+    assert p[0] < 0.01 < 0.2 < p[-1] < found["p.flow_gain"][-1]
 
 
 def test_mistakes() -> None:
