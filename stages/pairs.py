@@ -204,7 +204,7 @@ class Pairs:
             p: some.additive.pair(place[a], place[b], (least[a], least[b]))
             for p, (a, b) in self.pairs.items()
         }
-        if max((gain for gain, _ in about.values()), default=0.0) < 0.5 * self._least(some):
+        if max((gain for gain, _ in about.values()), default=0.0) < 0.5 * (self.penalty + self._least(some)):
             return {}
         sizes = {f: [*isolate.hypotheses[f].sizes[::3], few.singles[k][0]] for f, k in place.items()}
         at: dict[str, tuple[int, int, Pair]] = {}
