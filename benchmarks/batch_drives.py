@@ -41,7 +41,7 @@ def detector(folder: Path, recipe: Recipe | None = None) -> Detector:
 def without_isolation() -> Recipe:
     """The recipe with an alarm on residuals in the end: quick, and all that depends on a log's length."""
     data = tomllib.loads(recipe_text(RECIPE))
-    stages = [stage for stage in data["stage"] if stage["use"] != "isolate"]
+    stages = [stage for stage in data["stage"] if stage["use"] not in ("isolate", "pairs")]
     detect = {"use": "detect", "min_threshold": 1e6}
     return build_recipe(QUICK, {k: v for k, v in data.items() if k != "stage"} | {"stage": [*stages, detect]})
 

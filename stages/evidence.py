@@ -185,12 +185,11 @@ def shorten(memory: Memory, settings: Settings, grid: Grid) -> None:  # pragma: 
 
 
 @njit(cache=True, error_model="numpy")
-def decide(
-    memory: Memory, settings: Settings, grid: Grid, elapsed: float
-) -> None:  # pragma: no cover - compiled
-    """Evidence over every memory; the alarm's begin and end; ``elapsed`` s since the last decision."""
-    S, clocks, T, F = memory.S, memory.clocks, len(memory.S) - 2, grid.points.shape[0]
-    memory.statistic[0], memory.evidence[:], strongest = -np.inf, -np.inf, T
+def weigh(memory: Memory, settings: Settings, grid: Grid) -> int:  # pragma: no cover - compiled
+    """Evidence over every memory and for steps, without an alarm; which of them exceeds its threshold
+    most."""
+    S, T, F, strongest = memory.S, len(memory.S) - 2, grid.points.shape[0], 0
+    memory.statistic[0], memory.evidence[:] = -np.inf, -np.inf
     for i in range(T + len(settings.ages)):
         stepped, row = i >= T, min(i, T)
         if stepped:
@@ -199,45 +198,54 @@ def decide(
                 continue
         else:
             sums = S[i]
-            if clocks[ALARM] == 0 and offsets_known(sums, S[T - 1], settings.sd, settings.wander):
+            if offsets_known(sums, S[T - 1], settings.sd, settings.wander):
                 sums, row = informed(sums, S[T - 1], settings.wander, grid.prior), T + 1
             L = log_likelihoods(sums, settings.sd, settings.unknown_sd)
-        evidence, size, size_sd = evidence_of(L, grid)
-        if clocks[ALARM] == 0 and not stepped:
             note_detectable(L, settings.threshold[row], grid, memory.detectable)
+        evidence, size, size_sd = evidence_of(L, grid)
         for f in range(F):
             memory.largest[row, f] = max(memory.largest[row, f], evidence[f])
             excess = evidence[f] - settings.threshold[row, f]
             if excess > memory.statistic[0]:
-                memory.statistic[0] = excess
-                strongest = i
-                if clocks[ALARM] == 0:
-                    for p in range(len(L)):
-                        memory.kept[p] = L[p] - L[0] if stepped else 0.0
+                memory.statistic[0], strongest = excess, i
+                for p in range(len(L)):
+                    memory.kept[p] = L[p] - L[0] if stepped else 0.0
             if evidence[f] > memory.evidence[f]:
                 memory.evidence[f], memory.size[f], memory.size_sd[f] = evidence[f], size[f], size_sd[f]
         memory.evidence[F] = max(memory.evidence[F], evidence[F] - settings.penalty)
-    holds = ends(memory, settings, grid) if clocks[ALARM] == 1 else memory.statistic[0] > 0
+    return strongest
+
+
+@njit(cache=True, error_model="numpy")
+def decide(
+    memory: Memory, settings: Settings, grid: Grid, elapsed: float
+) -> None:  # pragma: no cover - compiled
+    """The alarm's begin and end; ``elapsed`` s since the last decision."""
+    S, clocks, T, strongest = memory.S, memory.clocks, len(memory.S) - 2, 0
+    alarm = clocks[ALARM] == 1
+    if alarm:
+        holds = ends(memory, settings, grid)
+    else:
+        strongest = weigh(memory, settings, grid)
+        holds = memory.statistic[0] > 0
     # a long time without samples confirms nothing
     clocks[HELD] = clocks[HELD] + min(elapsed, 2.0 * settings.decide) if holds else 0.0
     clocks[SINCE] += elapsed
-    if clocks[HELD] >= (settings.clear if clocks[ALARM] == 1 else settings.confirm):
-        if clocks[ALARM] == 0:
-            memory.before[:] = S[T - 1] - S[min(strongest, T - 1)]
-            S[2 : T + 1] = 0.0
-            for p in range(len(grid.prior)):
-                if grid.prior[p] > -np.inf:
-                    memory.kept[p] = 0.0
-            memory.kept[-1] = -np.inf
-            for p in range(len(grid.prior)):
-                memory.kept[-1] = max(memory.kept[-1], memory.kept[p])
-        else:
-            S[:T] = memory.ended
-            S[T - 1] += memory.before  # offsets are still known
-        memory.ended[:] = 0.0
-        begins = 1.0 - clocks[ALARM]
-        clocks[:RESTED] = 0.0
-        clocks[ALARM] = begins
+    if clocks[HELD] < (settings.clear if alarm else settings.confirm):
+        return
+    if alarm:
+        S[:T] = memory.ended
+        S[T - 1] += memory.before  # offsets are still known
+    else:
+        memory.before[:] = S[T - 1] - S[min(strongest, T - 1)]
+        S[2 : T + 1] = 0.0
+        for p in range(len(grid.prior)):
+            if grid.prior[p] > -np.inf:
+                memory.kept[p] = 0.0
+        memory.kept[-1] = np.max(memory.kept[:-1])
+    memory.ended[:] = 0.0
+    clocks[:RESTED] = 0.0
+    clocks[ALARM] = 0.0 if alarm else 1.0
 
 
 @njit(cache=True, error_model="numpy")
@@ -251,6 +259,8 @@ def judge(memory: Memory, settings: Settings, grid: Grid) -> None:  # pragma: no
     evidence, memory.size[:], memory.size_sd[:] = evidence_of(L, grid)
     evidence[F] -= settings.penalty
     memory.evidence[:] = evidence
+    memory.largest[T - 1] = np.maximum(memory.largest[T - 1], evidence[:F])
+    memory.statistic[0] = np.max(evidence[:F] - settings.threshold[T - 1])
     odds = np.exp(settings.temper * (evidence - np.max(evidence)))
     memory.p[:] = odds / odds.sum()
     clocks[NAMED] = np.argmax(evidence[:F])

@@ -81,7 +81,7 @@ class Isolate:
             before this stage; nothing learned yet.
     """
 
-    version: ClassVar[str] = "7"
+    version: ClassVar[str] = "8"
     learns_from: ClassVar[Literal["calibration"]] = "calibration"
     hypotheses: Mapping[str, Hypothesis]
     drifts: Mapping[str, Drift] = field(default_factory=dict)

@@ -158,15 +158,15 @@ def informed(
     So the offsets are known from before, but for what they ``wander`` within a log, a standard deviation
     (residuals,): what was before counts as no more than would tell them so well.
     """
-    sums = recent.copy()
-    R, P = recent.shape[0], recent.shape[2]
-    for r in range(R):
+    sums = np.empty(recent.shape)
+    lasting = np.append(np.flatnonzero(prior > -np.inf), recent.shape[2] - 1)
+    for r in range(recent.shape[0]):
         information = (whole[r, A11, 0] - recent[r, A11, 0]) * wander[r] ** 2
         share = min(1.0, 1.0 / information) if information > 0 else 0.0
         for k in range(SUMS):
-            for p in range(P):
-                q = p if p == P - 1 or prior[p] > -np.inf else 0
-                sums[r, k, p] += share * (whole[r, k, q] - recent[r, k, q])
+            sums[r, k] = recent[r, k] + share * (whole[r, k, 0] - recent[r, k, 0])
+            for p in lasting:
+                sums[r, k, p] = recent[r, k, p] + share * (whole[r, k, p] - recent[r, k, p])
     return sums
 
 
