@@ -14,8 +14,9 @@ where least is ``penalty`` and ``least_share`` of what f* explains of the log as
 best single fault whose size changes once within the samples: one fault that grows or ends is not two. Nor are
 two of three faults ``alike`` that say no more than the third. The probabilities are those of the stage
 before, with the pairs among the suppositions. Where much is explained, errors of the relations explain more,
-too: all evidence then counts ``1 / (1 + model_error gain + least_share evidence_f* / penalty)``, with the
-gain of the best pair. Two faults at once are a requirement of section 1.1.
+too, and those of what f* does, an ``inexact`` part of it: all evidence then counts ``1 / (1 + model_error
+gain + inexact^2 evidence_f*)``, with the gain of the best pair. Two faults at once are a requirement of
+section 1.1.
 """
 
 from __future__ import annotations
@@ -74,7 +75,7 @@ class Pairs:
         RecipeError: the stage before is not `isolate`, or has no such fault.
     """
 
-    version: ClassVar[str] = "9"
+    version: ClassVar[str] = "10"
     faults: tuple[str, ...] = ()
     penalty: float = 10.0
     least_share: float = 0.0007
@@ -277,7 +278,8 @@ class Pairs:
         on = values[DETECTION] > 0
         x = np.array([*evidence.values()])
         gain = np.maximum(x[len(singles) :].max(axis=0) - best, 0.0)
-        unsure = self.least_share / max(self.penalty, 1.0) * np.maximum(best, 0.0)
+        inexact = np.array([h.inexact for h in self.isolate.hypotheses.values()])
+        unsure = inexact[x[: len(inexact)].argmax(axis=0)] ** 2 * np.maximum(best, 0.0)
         x *= temper / (1.0 + self.model_error * gain + unsure)
         odds = np.where(on, np.exp(x - x.max(axis=0)), 0.0)
         p = odds / np.maximum(odds.sum(axis=0), 1e-300)
