@@ -14,9 +14,11 @@ where least is ``penalty`` and ``least_share`` of what f* explains of the log as
 best single fault whose size changes once within the samples: one fault that grows or ends is not two. Nor are
 two of three faults ``alike`` that say no more than the third. The probabilities are those of the stage
 before, with the pairs among the suppositions. Where much is explained, errors of the relations explain more,
-too, and those of what f* does, an ``inexact`` part of it: all evidence then counts ``1 / (1 + model_error
-gain + inexact^2 evidence_f*)``, with the gain of the best pair. Two faults at once are a requirement of
-section 1.1.
+too, and those of what f* does, an ``inexact`` part of it: all evidence then counts
+
+    1 / (1 + model_error gain + min(inexact^2 evidence_f*, UNSURE)),
+
+with the gain of the best pair. Two faults at once are a requirement of section 1.1.
 """
 
 from __future__ import annotations
@@ -44,6 +46,7 @@ Array = NDArray[np.float64]
 FIRST, GROWTH = 20, 2.5  # samples of an alarm before pairs are looked at, and after which factor again
 FEW, SOME = 50, 100  # samples to find two sizes by, and whether there are two
 MIRRORED = 0.3  # of its size
+UNSURE = 5.0  # at most: large faults are not the least sure
 STANDS_FOR = "stands_for"  # s
 NOTHING = Pair(-np.inf, -np.inf, 0.0, (np.nan, np.nan), (np.nan, np.nan))
 
@@ -280,6 +283,7 @@ class Pairs:
         gain = np.maximum(x[len(singles) :].max(axis=0) - best, 0.0)
         inexact = np.array([h.inexact for h in self.isolate.hypotheses.values()])
         unsure = inexact[x[: len(inexact)].argmax(axis=0)] ** 2 * np.maximum(best, 0.0)
+        unsure = np.minimum(unsure, UNSURE)
         x *= temper / (1.0 + self.model_error * gain + unsure)
         odds = np.where(on, np.exp(x - x.max(axis=0)), 0.0)
         p = odds / np.maximum(odds.sum(axis=0), 1e-300)

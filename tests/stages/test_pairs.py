@@ -108,7 +108,7 @@ def test_the_more_there_is_to_explain_the_less_sure_is_a_small_difference(fitted
     assert isinstance(pairs, Pairs)
     rough = {f: replace(h, inexact=0.03) for f, h in HYPOTHESES.items()}
     pairs = pairs.connect([*pairs.before[:-1], replace(pairs.isolate, hypotheses=rough)])
-    best = np.array([0.0, 1e2, 1e4, 1e5])
+    best = np.array([0.0, 1e2, 1e3, 1e4])
     values = {"detection": np.ones(4), "evidence.flow_gain": best}
     values |= {"evidence." + f: best - 50 * (1 + best / 10) for f in ("pressure_gain", "leak", "unknown")}
     found = pairs._columns(values, {0: {"leak+pressure_gain": behind}}, {0: {}})
