@@ -140,7 +140,7 @@ def _whole(rows: Sequence[Row]) -> str:
 def _thresholds(
     champion: Detector, challenger: Detector, rng: np.random.Generator
 ) -> tuple[Array, Array] | None:
-    """Thresholds as they are, then with the calibration logs drawn anew, (resamplings, memories + 1, faults);
+    """Thresholds as they are, then with the calibration logs drawn anew, (resamplings, memories + 2, faults);
     the same draws for both where they were calibrated on the same logs. None where nothing is isolated."""
     stages = [next((s for s in d.stages if isinstance(s, Isolate)), None) for d in (champion, challenger)]
     counts = [len(s.learned["largest"]) for s in stages if s is not None]

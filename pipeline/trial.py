@@ -38,7 +38,7 @@ class Injection:
 class Trial:
     """What a detector said of one log.
 
-    ``largest``: the largest evidence, (memories + 1, faults), where the recipe isolates; ``square`` and
+    ``largest``: the largest evidence, (memories + 2, faults), where the recipe isolates; ``square`` and
     ``mass``: sums of e^2 and 1 by residual and regime of the reference, weighted by the gate, (residuals,
     regimes); ``domain``: share of the usable samples that lie in the trained domain.
     """

@@ -60,11 +60,8 @@ def offset_sd(
         part = ((time - time[0]) // span_s).astype(int)
         samples = max(1.0, correlation_s / float(np.median(np.diff(time))))
         for i, r in enumerate(residuals):
-            e, sigma = values[RESIDUAL + r], values[SIGMA + r]
-            weight = np.where(np.isfinite(e), 1 / sigma**2, 0.0)
-            S0 = np.maximum(np.bincount(part, weight), LEAST)
-            excess = (np.bincount(part, weight * np.nan_to_num(e)) / S0) ** 2 - samples / S0
-            square[i] += max(float(np.average(excess, weights=S0)), 0.0)
+            S, mean = _by_span(values[RESIDUAL + r], values[SIGMA + r], part)
+            square[i] += max(float(np.average(mean**2 - samples / S, weights=S)), 0.0)
     return np.asarray(np.sqrt(square / (len(blocks) + 1)))
 
 
@@ -118,15 +115,18 @@ def wander_sd(
         part = ((time - time[0]) // span_s).astype(int)
         dt = float(np.median(np.diff(time)))
         for i, r in enumerate(residuals):
-            e, sigma = values[RESIDUAL + r], values[SIGMA + r]
-            weight = np.where(np.isfinite(e), 1 / sigma**2, 0.0)
-            S = np.maximum(np.bincount(part, weight), LEAST)
-            away = np.bincount(part, weight * np.nan_to_num(e)) / S - np.average(
-                np.nan_to_num(e), weights=np.maximum(weight, LEAST)
-            )
+            S, mean = _by_span(values[RESIDUAL + r], values[SIGMA + r], part)
+            away = mean - np.average(mean, weights=S)
             samples = max(1.0, correlation_s[i] / dt)
             sums[:, i] += (S * away**2 - samples * (1 - S / S.sum())).sum(), S.sum()
     return np.asarray(np.sqrt((LEAST_WANDER * offset_sd) ** 2 + np.maximum(sums[0] / sums[1], 0.0)))
+
+
+def _by_span(e: Array, sigma: Array, part: NDArray[np.int64]) -> tuple[Array, Array]:
+    """Sums of weights, and weighted means, of the rows of each span ``part``, both (spans,)."""
+    weight = np.where(np.isfinite(e), 1 / sigma**2, 0.0)
+    S = np.maximum(np.bincount(part, weight), LEAST)
+    return S, np.bincount(part, weight * np.nan_to_num(e)) / S
 
 
 def correlation_times(blocks: Sequence[Log], residuals: Sequence[str], given_s: float) -> Array:
