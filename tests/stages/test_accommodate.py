@@ -56,6 +56,52 @@ def test_another_fault_or_a_doubtful_one_corrects_nothing() -> None:
         assert group.frame["p.corrected"].equals(group.frame["p"], null_equal=True)
 
 
+def doubtful(gain: float, both: float, size: float = 0.04) -> pl.DataFrame:
+    """A gain alone or beside a leak, when it would be of another ``size``."""
+    frame = samples("gain", p=gain)
+    on = frame["detection"].to_numpy()
+    sizes = {"size.gain+leak.gain": pl.lit(size), "size_sd.gain+leak.gain": pl.lit(0.002)}
+    share = {"p.gain+leak": both * on, "p.unknown": (1 - gain - both) * on, "p.leak": 0.0 * on}
+    return frame.with_columns(**{c: pl.Series(p) for c, p in share.items()}, **sizes)
+
+
+def test_an_isolated_sensor_is_corrected_though_it_is_open_what_else_is_wrong() -> None:
+    group = accommodate(LOG, doubtful(0.4, 0.3), "p", HYPOTHESES)
+    assert group is not None
+    raw, corrected, sd = (
+        group.frame[c].to_numpy()[TIME >= 40] for c in ("p", "p.corrected", "p.corrected_sd")
+    )
+    alone, beside = raw / 1.048, raw / 1.04
+    np.testing.assert_allclose(corrected, (0.4 * alone + 0.3 * beside) / 0.7)
+    apart = np.sqrt(0.4 * 0.3) / 0.7 * (beside - alone)
+    assert (sd > apart).all()
+    assert (sd < np.hypot(apart, 0.0025 * raw)).all()
+
+
+def test_of_two_sensors_that_may_be_wrong_neither_is_corrected() -> None:
+    group = accommodate(LOG, doubtful(0.3, 0.15), "p", HYPOTHESES)
+    assert group is not None
+    assert (group.frame["p"] == group.frame["p.corrected"]).all()
+
+
+def test_a_supposition_without_a_size_does_not_say_how_to_correct() -> None:
+    group = accommodate(LOG, doubtful(0.4, 0.3, size=np.nan), "p", HYPOTHESES)
+    assert group is not None
+    late = TIME >= 40
+    np.testing.assert_allclose(
+        group.frame["p.corrected"].to_numpy()[late], group.frame["p"].to_numpy()[late] / 1.048
+    )
+
+
+def test_a_size_at_the_end_of_its_grid_corrects_with_a_spread_that_is_not_known() -> None:
+    frame = samples("gain").with_columns(pl.lit(np.nan).alias("size_sd.gain"))
+    group = accommodate(LOG, frame, "p", HYPOTHESES)
+    assert group is not None
+    late = group.frame.filter(pl.col("time") >= 40)
+    np.testing.assert_allclose(late["p.corrected"], late["p"] / 1.048)
+    assert late["p.corrected_sd"].is_nan().all()
+
+
 def test_a_fault_that_is_no_sensors_has_no_correction() -> None:
     assert accommodate(LOG, samples("leak"), "leak", HYPOTHESES) is None
 
