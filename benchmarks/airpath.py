@@ -92,7 +92,7 @@ class Found:
     fault: str
     signal: str | None
     p: float
-    candidates: tuple[str, ...]
+    candidates: tuple[str, ...]  # the set, and what would look like the fault that is named
     delay_s: float
     size: float
     cleared_s: float
@@ -164,7 +164,7 @@ def judged(case: Case) -> Found:
         fault=verdict.fault,
         signal=verdict.signal,
         p=verdict.probability.get(verdict.fault, 0.0),
-        candidates=tuple(verdict.set),
+        candidates=(*verdict.set, *verdict.statistics.get("same_as", ())),
         delay_s=np.nan if verdict.detected_s is None else verdict.detected_s - onset,
         size=np.nan if verdict.magnitude is None else verdict.magnitude.value,
         cleared_s=np.nan if end is None else last - end,

@@ -102,7 +102,8 @@ def judge(log: Log, samples: Table, detector: Detector, quality: Mapping[str, An
     channels = {f: h.signal for f, h in hypotheses.items() if h.signal} | dict(recipe.channels)
     units = {f: h.unit for f, h in hypotheses.items()}
     units |= {f + OF + s: h.unit for f, some in rarer(recipe).items() for s, h in some.items()}
-    words = Judge(min_evidence_s=recipe.min_evidence_s, channels=channels, units=units)
+    alike = tuple(group for s in recipe.stages if isinstance(s, Pairs) for group in s.alike)
+    words = Judge(min_evidence_s=recipe.min_evidence_s, channels=channels, units=units, alike=alike)
     return words.verdict(log, samples, recipe=recipe.name, detector=detector.key, quality=quality)
 
 

@@ -52,12 +52,15 @@ class Table(Protocol):
 @dataclass(frozen=True, kw_only=True)
 class Judge:
     """``min_evidence_s``: seconds of usable samples below which no alarm means nothing; ``channels``: the
-    sensor that a fault concerns, if one; ``units``: of faults' sizes."""
+    sensor that a fault concerns, if one; ``units``: of faults' sizes; ``alike``: groups of three faults of
+    which two at once, both of about the opposite size, look like the third alone: ``statistics["same_as"]``
+    names them beside it."""
 
     min_evidence_s: float = 45.0
     merge_s: float = 10.0
     channels: Mapping[str, str] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
+    alike: tuple[tuple[str, ...], ...] = ()
 
     def verdict(
         self,
@@ -88,6 +91,8 @@ class Judge:
         probability = self._probability(samples, row)
         if sizes := self._magnitudes(samples, event.kind, row):
             statistics["magnitudes"] = {f: asdict(size) for f, size in sizes.items()}
+        if same := self._same_as(event.kind):
+            statistics["same_as"] = same
         return replace(
             none,
             fault=event.kind,
@@ -132,6 +137,11 @@ class Judge:
             confidence=probability[fault],
             source="dynoscope",
         )
+
+    def _same_as(self, fault: str) -> list[str]:
+        """The pairs that look like a single fault."""
+        three = [group for group in self.alike if fault in group and len(group) == 3]
+        return [PAIR.join(sorted({*group} - {fault})) for group in three]
 
     def _magnitude(self, samples: Table, fault: str, row: int, of: str = "") -> Magnitude | None:
         """The size of ``fault``, or of one of the two in it, at a row, where the isolation estimates it."""

@@ -164,7 +164,7 @@ def reasons(diagnosis: Diagnosis) -> list[str]:
             formula = diagnosis.about.residuals.get(name) if diagnosis.about else None
             found.append((abs(z.mean()), _in_words(source, z, when, formula)))
     lines = [text for _, text in sorted(found, reverse=True)[:REASONS]]
-    return lines + _runner_up(diagnosis.verdict, samples.filter(pl.Series(rows)))
+    return lines + _runner_up(diagnosis.verdict, samples.filter(pl.Series(rows))) + _same(diagnosis.verdict)
 
 
 def _in_words(source: str, z: Any, when: str, formula: str | None) -> str:
@@ -188,6 +188,14 @@ def _runner_up(verdict: Verdict, samples: pl.DataFrame) -> list[str]:
     return [
         f"evidence for {verdict.fault}: {ahead['none']:.0f} (log-likelihood ratio to none), "
         f"{abs(ahead[second]):.0f} {'more' if ahead[second] >= 0 else 'less'} than for {second}"
+    ]
+
+
+def _same(verdict: Verdict) -> list[str]:
+    """What no log could tell from the verdict."""
+    return [
+        f"{pair}, both by about as much the other way, would look the same; one fault is likelier than two"
+        for pair in verdict.statistics.get("same_as", [])
     ]
 
 

@@ -96,6 +96,25 @@ def test_two_faults_have_two_sizes_where_they_are_known() -> None:
     assert found["gain"]["value"] == pytest.approx(0.05)
 
 
+@pytest.mark.parametrize(
+    ("group", "same"),
+    [
+        (("gain", "leak", "other"), ["leak+other"]),
+        (("other", "leak", "third"), None),
+        (("gain", "leak"), None),
+    ],
+)
+def test_two_faults_that_look_like_the_one_named_are_said(
+    group: tuple[str, ...], same: list[str] | None
+) -> None:
+    frame, log = samples(alarms=((600, 1200),)), Log("x", {})
+    judge = Judge(alike=(group,))
+    found = judge.verdict(log, frame, recipe="r", detector="k", quality={})
+    assert (found.fault, found.statistics.get("same_as")) == ("gain", same)
+    none = judge.verdict(log, samples(alarms=()), recipe="r", detector="k", quality={})
+    assert "same_as" not in none.statistics
+
+
 def scattering() -> pl.DataFrame:
     """Evident from row 590 on, of ``T_Int`` most, in alarm from row 600 on."""
     n = np.arange(1200)

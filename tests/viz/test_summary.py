@@ -130,6 +130,13 @@ def test_a_log_known_to_be_fault_free_is_judged(diagnosis: Diagnosis) -> None:
     assert "Injected faults" not in log_summary(replace(log, events=()))
 
 
+def test_what_no_log_could_tell_apart_is_said(diagnosis: Diagnosis) -> None:
+    pair = "boost_pressure_gain+intake_pressure_gain"
+    verdict = replace(diagnosis.verdict, fault="maf_gain", statistics={"same_as": [pair]})
+    assert f"{pair}, both by about as much the other way" in summary(replace(diagnosis, verdict=verdict))
+    assert "the other way" not in summary(diagnosis)
+
+
 def test_each_of_two_faults_has_its_size(diagnosis: Diagnosis) -> None:
     sizes = {
         "boost_leak": {"value": 4.0, "sd": 0.3, "unit": "mm"},
