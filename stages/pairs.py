@@ -2,10 +2,10 @@
 
 After the stage `isolate`, on at most ``rows`` of an alarm's usable samples, evenly, whenever the alarm has
 2.5 times as many as before. Where a second fault adds little to what the likeliest one explains
-(:mod:`stages.additive`), that is all. Else a sensor's fault and another of ``faults`` are undone one after
-the other at a few sizes and on a few samples, and Newton's steps on the log-likelihood L
-(:mod:`stages.likelihood`) find both sizes. With d the standard deviation of a size, C the covariance of the
-two, and f* the best single fault,
+(:mod:`stages.additive`), and no pair was near before, that is all. Else a sensor's fault and another of
+``faults`` are undone one after the other at a few sizes and on a few samples, and Newton's steps on the
+log-likelihood L (:mod:`stages.likelihood`) find both sizes. With d the standard deviation of a size, C the
+covariance of the two, and f* the best single fault,
 
     evidence_fg = evidence_f* + L_fg + ln(2 pi |C|^1/2 / ranges) - max(L_f* + least, L_h),
     L_f* = max_f [L_f + ln(sqrt(2 pi) d / range)],
@@ -78,7 +78,7 @@ class Pairs:
         RecipeError: the stage before is not `isolate`, or has no such fault.
     """
 
-    version: ClassVar[str] = "10"
+    version: ClassVar[str] = "11"
     faults: tuple[str, ...] = ()
     penalty: float = 10.0
     least_share: float = 0.0007
@@ -208,7 +208,9 @@ class Pairs:
             p: some.additive.pair(place[a], place[b], (least[a], least[b]))
             for p, (a, b) in self.pairs.items()
         }
-        if max((gain for gain, _ in about.values()), default=0.0) < 0.5 * (self.penalty + self._least(some)):
+        most = max((gain for gain, _ in about.values()), default=0.0)
+        near = any(pair.height > -self.penalty for pair in before.values())
+        if not near and most < 0.5 * (self.penalty + self._least(some)):
             return {}
         sizes = {f: [*isolate.hypotheses[f].sizes[::3], few.singles[k][0]] for f, k in place.items()}
         at: dict[str, tuple[int, int, Pair]] = {}

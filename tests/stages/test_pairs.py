@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -11,6 +12,7 @@ from made_up_engine import HYPOTHESES, STAGES, drive, fitted_to
 
 from ingest.errors import RecipeError
 from ingest.log import Group, Log
+from stages.additive import Additive
 from stages.pair_search import Pair
 from stages.pairs import Pairs
 from stages.stage import ANALYSIS, Stage, connected, transform
@@ -65,6 +67,26 @@ def test_a_fault_that_grows_is_not_two(fitted: list[Stage]) -> None:
     log = Log("grows", {ANALYSIS: Group(ANALYSIS, frame.with_columns(p=pl.col("p") * (1 + size)))})
     out = transform(fitted, log).groups[ANALYSIS].frame.filter(pl.col("time") > 230)
     assert out.select(pl.max_horizontal(PAIRS).max()).item() < 0.5
+
+
+def test_a_pair_that_was_near_is_looked_for_again(
+    fitted: list[Stage], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    looks = []
+    search = Pairs._search
+
+    def noted(self: Pairs, *seen: Any) -> dict[str, Pair]:
+        looks.append((self, *seen))
+        return search(self, *seen)
+
+    monkeypatch.setattr(Pairs, "_search", noted)
+    late(fitted, flow=0.05, pressure=-0.04)
+    stage, window, some, before = looks[-1]
+    monkeypatch.setattr(Additive, "pair", lambda *_: (0.0, (0.05, -0.04)))
+    assert search(stage, window, some, before)
+    assert not search(stage, window, some, {})
+    far = {name: replace(pair, height=-11.0) for name, pair in before.items()}
+    assert not search(stage, window, some, far)
 
 
 def test_without_an_alarm_nothing_is_said(fitted: list[Stage]) -> None:
