@@ -1,13 +1,14 @@
 """Air-path diagnosis with other regressors, and detection with methods that know no relations.
 
-    python -m benchmarks.airpath_peers [--seeds N]
+    python -m benchmarks.airpath_peers [--seeds N] [--folder FOLDER]
 
 Wants scikit-learn. The recipe, its regime map, its isolation and its calibration are the same for all; only
 what predicts from the relations' inputs is exchanged: GSMMS, one plane, a global quadratic, a neural network
 (20-20) and gradient boosting, the last two with their library's defaults. For detection: T2 and SPE of a
 principal component analysis of the signals, and an isolation forest, each with the largest 30 s mean of the
 calibration logs as its threshold. As in :mod:`benchmarks.airpath`: trained on one WLTC, without tolerances,
-drives not tuned on.
+drives not tuned on. With FOLDER the regressors instead judge the petrol engine's logs of
+:mod:`benchmarks.liu_bench`.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from unittest.mock import patch
 
 import numpy as np
@@ -25,6 +27,7 @@ from numpy.typing import NDArray
 
 import stages.relations
 from benchmarks.airpath import CALIBRATION, LENGTH_S
+from benchmarks.liu_bench import read_logs, table
 from ingest.log import Log
 from ingest.simulators.airpath import Fault, simulate_airpath
 from pipeline.detector import Detector
@@ -78,6 +81,12 @@ def boosting(S: Array, y: Array, weight: Array) -> Model:
     ensemble = importlib.import_module("sklearn.ensemble")
     model = ensemble.HistGradientBoostingRegressor(random_state=0).fit(S, y, sample_weight=weight)
     return lambda X: np.asarray(model.predict(X))
+
+
+PEERS: dict[str, Callable[[Array, Array, Array], Model] | None] = {
+    "GSMMS": None, "one plane": plane, "global quadratic": quadratic, "network 20-20": network,
+    "gradient boosting": boosting,
+}  # fmt: skip
 
 
 @contextmanager
@@ -173,19 +182,29 @@ def alone(detector: Detector, training: Log, checked: list[Log]) -> dict[str, Ca
     return {"PCA, T2": alarm(t2), "PCA, weighted SPE": alarm(spe), "isolation forest": alarm(odd)}
 
 
+def bench(folder: Path) -> None:
+    """The petrol engine's logs, fitted on the fault-free one."""
+    logs = read_logs(folder)
+    for name, peer in PEERS.items():
+        with regressor(peer):
+            table(name, fit([logs["NF"]], load_recipe("si_airpath")), logs, official=False)
+
+
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--seeds", type=int, default=2, help="per cycle and fault")
-    some = drives(parser.parse_args().seeds)
+    parser.add_argument("--folder", type=Path, help="of the petrol engine's logs")
+    args = parser.parse_args()
+    if args.folder:
+        bench(args.folder)
+        return
+    some = drives(args.seeds)
     healthy, faulty = [d for d in some if d.fault == "none"], [d for d in some if d.fault != "none"]
     training, checked, recipe = simulate_airpath(seed=0), calibration(), load_recipe("diesel_airpath")
     print(
         f"  {'':20s}false alarms /{len(healthy):<4d}detected /{len(faulty):<4d}named right   fit s  CPU s/log"
     )
-    for name, peer in (
-        ("GSMMS", None), ("one plane", plane), ("global quadratic", quadratic), ("network 20-20", network),
-        ("gradient boosting", boosting),
-    ):  # fmt: skip
+    for name, peer in PEERS.items():
         with regressor(peer):
             start = time.process_time()
             detector = fit([training], recipe, checked)

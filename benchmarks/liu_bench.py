@@ -70,6 +70,11 @@ def score(run: str, samples: pl.DataFrame, official: bool) -> Score:
     )
 
 
+def read_logs(folder: Path) -> dict[str, Log]:
+    """By run, ``NF`` the fault-free one."""
+    return {p.stem.removeprefix("wltp_"): read_log(p, MAP) for p in sorted(folder.glob("wltp_*.csv"))}
+
+
 def table(title: str, detector: Detector, logs: Mapping[str, Log], official: bool) -> None:
     print(f"\n{title}\n{'log':14s}{'TDR %':>8s}{'FAR %':>8s}{'FIA %':>8s}{'delay s':>9s}")
     scores = []
@@ -114,10 +119,9 @@ def main() -> None:
     parser.add_argument("--official", action="store_true", help="onset 120 s for every log")
     parser.add_argument("--thinned", type=int, default=2, metavar="N", help="so many random thinnings")
     args = parser.parse_args()
-    files = sorted(args.folder.glob("wltp_*.csv"))
-    if not files:
-        parser.error(f"no wltp_*.csv in {args.folder}; see the benchmark's site, arXiv 2408.13269")
-    logs = {p.stem.removeprefix("wltp_"): read_log(p, MAP) for p in files}
+    logs = read_logs(args.folder)
+    if "NF" not in logs:
+        parser.error(f"no wltp_NF.csv in {args.folder}; see the benchmark's site, arXiv 2408.13269")
     recipe, healthy = load_recipe("si_airpath"), logs["NF"]
     detector = fit([healthy], recipe)
     table("fitted on the fault-free log", detector, logs, args.official)

@@ -60,7 +60,10 @@ CHAIN: dict[str, Stage] = {
     ),
     "sensors": Sensors(signals=("y", "a"), where="b + 1", expected={"y": "f"}, tau_s=2.0, confirm_s=0.5),
     "detect": Detect(memories_s=(5.0, 20.0)),
-    "signatures": Signatures(table={"high": {"r": "+", "q": "x"}, "low": {"r": "-", "q": "x"}}),
+    "signatures": Signatures(
+        table={"high": {"r": "+", "q": "x"}, "low": {"r": "-", "q": "x"}},
+        shapes={"high": {"q": "a"}, "low": {"q": "b"}},
+    ),
 }
 MONITORING: dict[str, Stage] = {
     "align": Align(signals=("y", "u")),

@@ -3,12 +3,13 @@ from __future__ import annotations
 import numpy as np
 import polars as pl
 import pytest
+from numpy.typing import NDArray
 from scipy.stats import multivariate_normal, norm
 
 from ingest.errors import RecipeError
 from ingest.log import Group, Log
 from stages.detect import MEAN, MEAN_SD
-from stages.residuals import RESIDUAL
+from stages.residuals import RESIDUAL, SIGMA
 from stages.results import DETECTION
 from stages.signatures import Signatures
 from stages.stage import ANALYSIS, columns, transform
@@ -82,7 +83,61 @@ def test_probabilities_sum_to_one_during_an_alarm_only() -> None:
         assert sum(v for k, v in out.items() if k.startswith("p.")) == pytest.approx(total, abs=1e-6)
 
 
+SHAPED = Signatures(
+    table={"gain": {"cyl": "x"}, "leak": {"cyl": "x"}, "other": {"bst": "x"}},
+    shapes={"gain": {"cyl": "W"}, "leak": {"cyl": "sqrt(dp)"}},
+)
+
+
+def distributed(shape: NDArray[np.float64], before: NDArray[np.float64]) -> dict[str, float]:
+    """The last of 200 s, in alarm from the half on; until then the residual has the shape ``before``."""
+    t = np.arange(0.0, 200.0, 0.5)
+    dice, late = np.random.default_rng(3), t >= 100
+    W, dp = dice.uniform(20, 80, t.size), dice.uniform(0, 100, t.size)
+    e = np.where(late, shape[0] * W + shape[1] * np.sqrt(dp), before[0] * W + before[1] * np.sqrt(dp))
+    data = {"time": t, "W": W, "dp": dp, DETECTION: late.astype(float)}
+    for r, x in (("bst", 0.0 * t), ("cyl", e + dice.normal(0, 1, t.size))):
+        mean = np.full(t.size, x[late].mean())
+        data |= {
+            RESIDUAL + r: x,
+            SIGMA + r: np.ones(t.size),
+            MEAN + r: mean,
+            MEAN_SD + r: np.full(t.size, 0.1),
+        }
+    out = columns(transform([SHAPED], Log("x", {ANALYSIS: Group(ANALYSIS, pl.DataFrame(data))})))
+    return {k: float(v[-1]) for k, v in out.items() if k.startswith(("evidence.", "p."))}
+
+
+@pytest.mark.parametrize(("shape", "fault"), [((0.05, 0.0), "gain"), ((0.0, 0.4), "leak")])
+def test_faults_of_one_row_are_told_apart_by_how_the_residual_is_distributed(
+    shape: tuple[float, float], fault: str
+) -> None:
+    for before in ((0.0, 0.0), (-0.3, 0.0), (0.0, -2.0)):  # what was before the alarm does not count
+        found = distributed(np.array(shape), np.array(before))
+        assert most_probable(found) == fault
+        assert found[f"p.{fault}"] > 0.99
+
+
+def test_the_likelier_shape_is_so_by_its_least_squares() -> None:
+    t = np.arange(0.0, 200.0, 0.5)
+    dice = np.random.default_rng(3)
+    W, dp = dice.uniform(20, 80, t.size), dice.uniform(0, 100, t.size)
+    e = 0.05 * W
+    noise = dice.normal(0, 1, t.size)
+    late = t >= 100
+    rest = [np.linalg.lstsq(h[late, None], (e + noise)[late], rcond=None)[1][0] for h in (W, np.sqrt(dp))]
+    found = distributed(np.array([0.05, 0.0]), np.zeros(2))
+    share = 0.5 / SHAPED.correlation_s  # of an independent sample that each is
+    assert found["evidence.gain"] - found["evidence.leak"] == pytest.approx(
+        0.5 * share * (rest[1] - rest[0]), rel=1e-5
+    )
+
+
 def test_mistakes_in_the_table() -> None:
+    with pytest.raises(RecipeError, match=r"leak has a shape of 'bst', which its row does not mark.*cyl"):
+        Signatures(table={"leak": {"cyl": "x"}}, shapes={"leak": {"bst": "W"}})
+    with pytest.raises(RecipeError, match="gain has a shape"):
+        Signatures(table={"leak": {"cyl": "x"}}, shapes={"gain": {"cyl": "W"}})
     with pytest.raises(RecipeError, match=r"leak: marks must be one of.*'y'"):
         Signatures(table={"leak": {"r": "y"}})
     with pytest.raises(RecipeError, match="leak marks no residual"):
