@@ -10,8 +10,9 @@ from typing import Any
 
 import pytest
 
+from benchmarks.airpath_table import SHAPES, TABLE, UNEXPECTED, with_table
 from pipeline.cli import COMMANDS, build_parser
-from pipeline.recipe import build_recipe
+from pipeline.recipe import build_recipe, load_recipe
 from pipeline.summary import SUMMARY_SCHEMA
 from stages import STAGES
 
@@ -22,8 +23,9 @@ PAGES = [
     ROOT / "CHANGELOG.md",
     *sorted((ROOT / "docs").glob("*.md")),
 ]
-README, RECIPES, OUTPUTS = (
-    (ROOT / name).read_text(encoding="utf-8") for name in ("README.md", "docs/recipes.md", "docs/outputs.md")
+README, RECIPES, OUTPUTS, AIRPATH = (
+    (ROOT / name).read_text(encoding="utf-8")
+    for name in ("README.md", "docs/recipes.md", "docs/outputs.md", "docs/airpath.md")
 )
 
 
@@ -66,6 +68,15 @@ def test_the_recipe_that_is_explained_is_a_recipe() -> None:
     head, whole = (tomllib.loads(text) for text in blocks(RECIPES, "toml"))
     recipe = build_recipe("explained", {**head, **whole})
     assert recipe.uses == ("align", "gate", "regressors", "normalise", "relations", "residuals")
+
+
+def test_the_table_that_is_shown_is_the_benchmarks() -> None:
+    shown = tomllib.loads(blocks(AIRPATH, "toml")[0])["stage"]
+    recipe = with_table(load_recipe("diesel_airpath"), shown[0]["residuals"], TABLE, SHAPES)
+    assert shown[2]["table"] == TABLE
+    assert shown[2]["shapes"] == SHAPES
+    assert shown[0]["residuals"]["unexpected"] == UNEXPECTED
+    assert recipe.uses[-3:] == ("residuals", "detect", "signatures")
 
 
 def test_the_stage_that_is_shown_is_a_stage(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
