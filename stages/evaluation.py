@@ -38,24 +38,29 @@ def evaluate(
     unit = np.full(N, np.int32(-1))
     linear = np.vstack((root.T, theta.reshape(1, -1)))  # of the blended regressors
     s, weight, best = np.zeros((d, ROWS)), np.empty((len(nodes), ROWS)), np.empty(ROWS, dtype=np.int32)
+    variance = np.empty(ROWS)
     blended = np.empty((len(nodes) * (d + 1), ROWS))  # of each node 1 and s, times its weight
     for start in range(0, N, ROWS):
         here = min(ROWS, N - start)
-        s[:, :here] = S[start : start + here].T
+        for i in range(here):
+            for j in range(d):
+                s[j, i] = S[start + i, j]
         _weigh(s, nodes, width, weight, best)
         for m in range(len(nodes)):
             for i in range(ROWS):
                 blended[m * (d + 1), i] = weight[m, i]
-                for j in range(d):
+            for j in range(d):
+                for i in range(ROWS):
                     blended[m * (d + 1) + 1 + j, i] = weight[m, i] * s[j, i]
         found = np.dot(linear, blended)
+        variance[:] = 0.0
+        for b in range(B):
+            for i in range(ROWS):
+                variance[i] += found[b, i] * found[b, i]
         for i in range(here):
             away = _away(s, i, mean, whiten, best[i])
             if np.isfinite(away):  # else a regressor is missing
-                variance = 0.0
-                for b in range(B):
-                    variance += found[b, i] ** 2
-                prediction[start + i], doubt[start + i] = found[B, i], np.sqrt(variance)
+                prediction[start + i], doubt[start + i] = found[B, i], np.sqrt(variance[i])
                 novelty[start + i], unit[start + i] = away / reach, best[i]
     return prediction, doubt, novelty, unit
 
@@ -66,26 +71,34 @@ def _weigh(
 ) -> None:  # pragma: no cover - compiled
     """Fill ``best`` (rows,), the best matching unit of ``s`` (d, rows), and the shares ``weight`` (M,
     rows)."""
-    least, total = np.full(weight.shape[1], np.inf), np.zeros(weight.shape[1])
+    rows = weight.shape[1]
+    least, total = np.full(rows, np.inf), np.zeros(rows)
     best[:] = 0
     for m in range(len(nodes)):
-        for i in range(len(least)):
-            away = 0.0
-            for j in range(len(s)):
-                away += (s[j, i] - nodes[m, j]) ** 2
-            weight[m, i] = away
-            if away < least[i]:
-                least[i], best[i] = away, m
-    for m in range(len(nodes)):
-        for i in range(len(least)):
-            if width > 0.0:
-                weight[m, i] = _faded((least[i] - weight[m, i]) / (2.0 * width * width))
-            else:
+        for i in range(rows):
+            weight[m, i] = (s[0, i] - nodes[m, 0]) ** 2
+        for j in range(1, len(s)):
+            for i in range(rows):
+                weight[m, i] += (s[j, i] - nodes[m, j]) ** 2
+        for i in range(rows):
+            nearer = weight[m, i] < least[i]
+            best[i] = m if nearer else best[i]
+            least[i] = weight[m, i] if nearer else least[i]
+    if width == 0.0:
+        for m in range(len(nodes)):
+            for i in range(rows):
                 weight[m, i] = 1.0 if m == best[i] else 0.0
-            total[i] += weight[m, i]
+        return
+    scale = 0.5 / (width * width)
     for m in range(len(nodes)):
-        for i in range(len(least)):
-            weight[m, i] /= total[i]
+        for i in range(rows):
+            weight[m, i] = _faded((least[i] - weight[m, i]) * scale)
+            total[i] += weight[m, i]
+    for i in range(rows):
+        total[i] = 1.0 / total[i]
+    for m in range(len(nodes)):
+        for i in range(rows):
+            weight[m, i] *= total[i]
 
 
 @njit(cache=True, error_model="numpy", fastmath={"contract", "reassoc"})
@@ -106,7 +119,7 @@ def _faded(x: float) -> float:  # pragma: no cover - compiled
     a library's, keep the compiler from taking several at a time. Relative error 1e-11 at -10, no less than
     e^-40."""
     x = max(x, -40.0) / 256.0
-    y = 1.0 + x * (1.0 + x / 2 * (1.0 + x / 3 * (1.0 + x / 4 * (1.0 + x / 5 * (1.0 + x / 6)))))
+    y = 1.0 + x * (1.0 + x * (1 / 2 + x * (1 / 6 + x * (1 / 24 + x * (1 / 120 + x * (1 / 720))))))
     for _ in range(8):
         y *= y
     return y

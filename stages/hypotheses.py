@@ -109,12 +109,6 @@ class Points:
         return sizes
 
     @cached_property
-    def _inexact(self) -> Array:
-        """Of every point, shape (points,)."""
-        sizes = zip(self.hypotheses, self.sizes, strict=True)
-        return np.array([0.0, *(h.inexact for h, evaluated in sizes for _ in evaluated)])
-
-    @cached_property
     def needs(self) -> set[str]:
         """Columns that the chain and the corrections read and the chain does not make."""
         needed, made = set[str](), set[str]()
@@ -169,22 +163,24 @@ class Points:
         return e, sigma, doubt, np.full((rows, R), np.inf)
 
     def _fill(self, base: Mapping[str, Array], e: Array, sigma: Array, doubt: Array, novelty: Array) -> None:
-        place, computed = slice(0, 1), base
+        place, computed, inexact = slice(0, 1), base, 0.0
         for i in range(len(self.hypotheses) + 1):
             if i > 0:
                 sizes = np.array(self.sizes[i - 1])
                 if not sizes.size:
                     continue
                 place = slice(place.stop, place.stop + len(sizes))
-                computed = self.undone(base, [(i - 1, sizes)])
+                computed, inexact = self.undone(base, [(i - 1, sizes)]), self.hypotheses[i - 1].inexact
             for r, name in enumerate(self.residuals):
-                e[:, r, place] = computed[RESIDUAL + name].T
+                there, sd = computed[RESIDUAL + name], computed[MODEL_SD + name]
+                if inexact > 0.0 and there is not base[RESIDUAL + name]:
+                    wrong = inexact * (there - base[RESIDUAL + name])
+                    sd = np.sqrt(sd * sd + wrong * wrong)
+                e[:, r, place] = there.T
                 sigma[:, r, place] = computed[SIGMA + name].T
-                doubt[:, r, place] = computed[MODEL_SD + name].T
+                doubt[:, r, place] = sd.T
                 least = np.fmin.reduce(computed[UNFAMILIAR + name], axis=0)
                 np.fmin(novelty[:, r], least, out=novelty[:, r])
-        inexact = self._inexact * (e - e[:, :, :1])
-        np.sqrt(doubt * doubt + inexact * inexact, out=doubt)
 
     def as_it_is(self, values: Mapping[str, Array], elapsed: Array) -> dict[str, Array]:
         """The log's and the chain's columns, shape (1, rows)."""

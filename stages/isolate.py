@@ -223,7 +223,7 @@ class Isolate:
         e, sigma, doubt, novelty = self.points.evaluate(needed, time[active] - first)
         rows = Rows(
             dt=dt,
-            active=active,
+            active=np.where(active, np.cumsum(active) - 1, -1),
             place=self._place(values),
             share=np.minimum(stands_for / self.correlation_s, 1.0),
             weight=self.weight(stands_for) * familiarity(novelty, self.known_to),

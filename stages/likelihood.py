@@ -22,7 +22,7 @@ Between two computed sizes of a hypothesis, e, sigma, its logarithm and the doub
 The last point of all sums is the log as it is, untamed, for ``unknown``.
 
 The compiler's cache does not see changes in another file: after a change here delete the compiled files of
-:mod:`stages.memory` and :mod:`stages.evidence` (``stages/__pycache__/*.nb*``).
+:mod:`stages.memory`, :mod:`stages.episode` and :mod:`stages.evidence` (``stages/__pycache__/*.nb*``).
 """
 
 from __future__ import annotations
@@ -46,21 +46,45 @@ def tame(x: float, reach: float, mean: float) -> float:  # pragma: no cover - co
 
 
 @njit(cache=True, error_model="numpy")
-def add_point(
-    S: Array, p: int, x: float, s: float, ln_s: float, off: float, h1: float, h2: float, weight: float
+def interpolate(
+    y: Array, left: NDArray[np.uint64], right: NDArray[np.uint64], share: Array, out: Array
 ) -> None:  # pragma: no cover - compiled
-    """Add a residual ``x`` of spread ``s`` and doubt ``off`` to the sums of point ``p``, unless one is
-    missing. Without branches, so that several points are taken at a time."""
-    known = not (np.isnan(x) or np.isnan(s))
-    w = weight / (s * s) if known else 0.0
-    x, off, ln_s = (x, off, ln_s) if known else (0.0, 0.0, 0.0)
-    S[A11, p] += w * h1 * h1
-    S[B1, p] += w * h1 * x
-    S[Q, p] += w * x * x + 2.0 * weight * ln_s
-    S[D, p] += w * h1 * h1 * off * off
-    S[A12, p] += w * h1 * h2
-    S[A22, p] += w * h2 * h2
-    S[B2, p] += w * h2 * x
+    """``y`` (computed points,) at the points between them, to ``out``."""
+    for p in range(len(left)):
+        out[p] = (1.0 - share[p]) * y[left[p]] + share[p] * y[right[p]]
+
+
+@njit(cache=True, error_model="numpy")
+def precisions(x: Array, s: Array, weight: float, w: Array) -> None:  # pragma: no cover - compiled
+    """``w = weight / s^2``; 0 where the residual ``x`` or its spread ``s`` is missing."""
+    for p in range(len(w)):
+        w[p] = 0.0 if np.isnan(x[p]) or np.isnan(s[p]) else weight / (s[p] * s[p])
+
+
+@njit(cache=True, error_model="numpy")
+def add_points(
+    S: Array, w: Array, x: Array, ln_s: Array, off: Array, h1: float, h2: float, weight: float
+) -> None:  # pragma: no cover - compiled
+    """Add a residual ``x`` of precision ``w``, spread exp ``ln_s`` and doubt ``off``, each (points,), to the
+    sums ``S`` (SUMS, points), but where it is missing.
+
+    A loop for each sum and without branches, so that the compiler takes several points at a time.
+    """
+    for p in range(len(w)):
+        S[A11, p] += w[p] * h1 * h1
+    for p in range(len(w)):
+        S[B1, p] += w[p] * h1 * x[p] if w[p] > 0.0 else 0.0
+    for p in range(len(w)):
+        S[Q, p] += w[p] * x[p] * x[p] + 2.0 * weight * ln_s[p] if w[p] > 0.0 else 0.0
+    for p in range(len(w)):
+        S[D, p] += w[p] * h1 * h1 * off[p] * off[p] if w[p] > 0.0 else 0.0
+    if h2 != 0.0:
+        for p in range(len(w)):
+            S[A12, p] += w[p] * h1 * h2
+        for p in range(len(w)):
+            S[A22, p] += w[p] * h2 * h2
+        for p in range(len(w)):
+            S[B2, p] += w[p] * h2 * x[p] if w[p] > 0.0 else 0.0
 
 
 @njit(cache=True, error_model="numpy")
@@ -80,31 +104,39 @@ def add_sample(
     (residuals, 2); ``weights`` (residuals,). ``short``: the sums of the short memory, in which zero counts as
     one sample beside the ``seen`` independent ones, as at a log's start.
     """
-    e, sigma, ln_sigma, doubt = row
+    e, sigma = row[0], row[1]
     P = len(grid.left)
+    at, w = np.empty((4, P + 1)), np.empty(P + 1)
+    x, s = at[0], at[1]
     for r in range(S.shape[0]):
         if np.isnan(e[r, 0]) or np.isnan(sigma[r, 0]):  # the log as it is cannot be compared
             continue
-        h1, h2, weight, sums = shapes[r, 0], shapes[r, 1], weights[r], S[r]
+        for k, y in enumerate(row):
+            interpolate(y[r], grid.left, grid.right, grid.share, at[k])
+            at[k, P] = y[r, 0]
         for p in range(P):
-            a, b, share = grid.left[p], grid.right[p], grid.share[p]
-            x = (1.0 - share) * e[r, a] + share * e[r, b]
-            s = (1.0 - share) * sigma[r, a] + share * sigma[r, b]
             mean = short[r, B1, p] / max(short[r, A11, p], 1e-300) * seen / (seen + 1.0)
-            x = tame(x, clip * s, mean)
-            off = (1.0 - share) * doubt[r, a] + share * doubt[r, b]
-            ln_s = (1.0 - share) * ln_sigma[r, a] + share * ln_sigma[r, b]
-            add_point(sums, p, x, s, ln_s, off, h1, h2, weight)
-        add_point(sums, P, e[r, 0], sigma[r, 0], ln_sigma[r, 0], doubt[r, 0], h1, h2, weight)
+            x[p] = tame(x[p], clip * s[p], mean)
+        precisions(x, s, weights[r], w)
+        add_points(S[r], w, x, at[2], at[3], shapes[r, 0], shapes[r, 1], weights[r])
 
 
 @njit(cache=True, error_model="numpy")
-def fade(S: Array, kept: float, fresh: Array, two: NDArray[np.bool_]) -> None:  # pragma: no cover - compiled
-    """``S = kept S + fresh``, in place; ``two``: the residuals (residuals,) that have two shapes."""
+def fade(S: Array, kept: float, fresh: Array, sd: Array) -> None:  # pragma: no cover - compiled
+    """``S = kept S + fresh``, in place, where ``sd`` (residuals, 2) says which residuals have two shapes."""
     for r in range(S.shape[0]):
-        for k in range(SUMS if two[r] else PLAIN):
+        for k in range(SUMS if sd[r, 1] > 0 else PLAIN):
             for p in range(S.shape[2]):
                 S[r, k, p] = kept * S[r, k, p] + fresh[r, k, p]
+
+
+@njit(cache=True, error_model="numpy")
+def overwrite(S: Array, sums: Array) -> None:  # pragma: no cover - compiled
+    """``S = sums``, in place. Unlike an assignment it is compiled at once."""
+    for r in range(S.shape[0]):
+        for k in range(SUMS):
+            for p in range(S.shape[2]):
+                S[r, k, p] = sums[r, k, p]
 
 
 @njit(cache=True, error_model="numpy")
@@ -150,23 +182,25 @@ def offsets_known(
 
 @njit(cache=True, error_model="numpy")
 def informed(
-    recent: Array, whole: Array, wander: Array, prior: Array
+    recent: Array, whole: Array, wander: Array, prior: Array, sd: Array
 ) -> Array:  # pragma: no cover - compiled
     """Sums of the ``recent`` under every point, and of what came before it in the ``whole`` under none but
     those with a ``prior``, which healthy logs show.
 
     So the offsets are known from before, but for what they ``wander`` within a log, a standard deviation
-    (residuals,): what was before counts as no more than would tell them so well.
+    (residuals,): what was before counts as no more than would tell them so well. ``sd`` as in :func:`fade`.
     """
-    sums = np.empty(recent.shape)
-    lasting = np.append(np.flatnonzero(prior > -np.inf), recent.shape[2] - 1)
+    sums, P = np.empty(recent.shape), recent.shape[2]
     for r in range(recent.shape[0]):
         information = (whole[r, A11, 0] - recent[r, A11, 0]) * wander[r] ** 2
         share = min(1.0, 1.0 / information) if information > 0 else 0.0
-        for k in range(SUMS):
-            sums[r, k] = recent[r, k] + share * (whole[r, k, 0] - recent[r, k, 0])
-            for p in lasting:
-                sums[r, k, p] = recent[r, k, p] + share * (whole[r, k, p] - recent[r, k, p])
+        for k in range(SUMS if sd[r, 1] > 0 else PLAIN):
+            before = share * (whole[r, k, 0] - recent[r, k, 0])
+            for p in range(P):
+                sums[r, k, p] = recent[r, k, p] + before
+            for p in range(P):
+                if p == P - 1 or prior[p] > -np.inf:
+                    sums[r, k, p] = recent[r, k, p] + share * (whole[r, k, p] - recent[r, k, p])
     return sums
 
 
@@ -209,3 +243,27 @@ def peak(x: Array, L: Array) -> tuple[float, float, float]:  # pragma: no cover 
     place = 0.5 * (x[j - 1] + x[j] - d1 / curve)
     height = L[j - 1] + d1 * (place - x[j - 1]) + curve * (place - x[j - 1]) * (place - x[j])
     return place, max(height, L[j]), np.sqrt(-0.5 / curve)
+
+
+@njit(cache=True, error_model="numpy")
+def evidence_of(
+    L: Array, grid: Grid, evidence: Array, size: Array, size_sd: Array
+) -> None:  # pragma: no cover - compiled
+    """Fill in the evidence of every fault, and last of ``unknown``; sizes and their standard deviations."""
+    F, H = grid.points.shape[0], len(L) - 1
+    healthy, top = 0.0, -np.inf
+    for p in range(H):
+        top = max(top, L[p] + grid.prior[p])
+    for p in range(H):
+        if grid.prior[p] > -np.inf:
+            healthy += np.exp(L[p] + grid.prior[p] - top)
+    healthy = top + np.log(healthy)
+    heights = np.empty(grid.points.shape[1])
+    for f in range(F):
+        x = grid.sizes[f, : grid.counts[f]]
+        for i in range(len(x)):
+            heights[i] = L[grid.points[f, i]]
+        size[f], height, size_sd[f] = peak(x, heights)
+        width = min(1.0, np.sqrt(2.0 * np.pi) * size_sd[f] / (x[-1] - x[0]))
+        evidence[f] = height + np.log(width) - healthy
+    evidence[F] = L[H] - healthy

@@ -23,13 +23,13 @@ CLOCKS = 11
 
 
 class Rows(NamedTuple):
-    """What is known of a block's rows; only of those ``active``: ``share`` (active rows,) of an independent
-    sample, ``weight`` (active rows, residuals) that each counts, ``e sigma ln_sigma doubt`` (active rows,
-    residuals, points), ``shapes`` (active rows, residuals, 2). ``place`` (rows, any): the operating point, a
-    rest ends 1 away from where it began."""
+    """What is known of a block's rows, ``active`` is each one's number among those looked at, else -1. Only
+    of these: ``share`` (active rows,) of an independent sample, ``weight`` (active rows, residuals) that each
+    counts, ``e sigma ln_sigma doubt`` (active rows, residuals, points), ``shapes`` (active rows, residuals,
+    2). ``place`` (rows, any): the operating point, a rest ends 1 away from where it began."""
 
     dt: Array
-    active: NDArray[np.bool_]
+    active: NDArray[np.int64]
     place: Array
     share: Array
     weight: Array
@@ -87,33 +87,36 @@ class Memory(NamedTuple):
 
 @njit(cache=True, error_model="numpy")
 def settle(memory: Memory, settings: Settings) -> None:  # pragma: no cover - compiled
-    """Let all sums fade by the time that has passed, and add the fresh ones."""
-    passed, two = memory.clocks[FADED], settings.sd[:, 1] > 0
-    for i in range(len(memory.S) if len(settings.ages) else len(memory.S) - 1):
-        fade(memory.S[i], np.exp(-passed / settings.memories[i]), memory.fresh, two)
-    if memory.clocks[ALARM] == 1:
-        memory.ended[:] += memory.fresh
+    """Let all sums fade by the time that has passed, and add the fresh ones. In an alarm nobody asks for the
+    shortest memory; at its end all memories begin anew."""
+    passed = memory.clocks[FADED]
+    alarm = memory.clocks[ALARM] == 1
+    for i in range(1 if alarm else 0, len(memory.S) if len(settings.ages) else len(memory.S) - 1):
+        fade(memory.S[i], np.exp(-passed / settings.memories[i]), memory.fresh, settings.sd)
+    if alarm:
+        fade(memory.ended, 1.0, memory.fresh, settings.sd)
     memory.fresh[:] = 0.0
     memory.clocks[FADED] = 0.0
 
 
 @njit(cache=True, error_model="numpy")
 def remember(
-    memory: Memory, settings: Settings, grid: Grid, rows: Rows, k: int, row: int
+    memory: Memory, settings: Settings, grid: Grid, rows: Rows, k: int
 ) -> None:  # pragma: no cover - compiled
-    """Add row ``k``, the ``row``-th active one, to the fresh sums."""
-    dt, clocks = rows.dt[k], memory.clocks
+    """Add row ``k`` to the fresh sums."""
+    dt, row, clocks = rows.dt[k], rows.active[k], memory.clocks
     clocks[FADED] += dt
     clocks[RESTED] += dt
     for j in range(len(memory.place)):
         if not abs(rows.place[k, j] - memory.place[j]) <= 1.0:
             settle(memory, settings)
-            memory.place[:] = rows.place[k]
+            for i in range(len(memory.place)):
+                memory.place[i] = rows.place[k, i]
             memory.S[-1] = 0.0
             clocks[RESTED] = 0.0
             memory.times[:] = np.inf
             break
-    if not rows.active[k]:
+    if row < 0:
         return
     share = rows.share[row]
     row_of = (rows.e[row], rows.sigma[row], rows.ln_sigma[row], rows.doubt[row])

@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from stages.likelihood import SUMS, add_point, tame
+from stages.likelihood import SUMS, add_points, interpolate, precisions, tame
 
 Array = NDArray[np.float64]
 
@@ -22,14 +22,14 @@ Array = NDArray[np.float64]
 class Blend(NamedTuple):
     """Of each point the computed ones on either side, and the share of the right one."""
 
-    left: NDArray[np.int64]
-    right: NDArray[np.int64]
+    left: NDArray[np.uint64]
+    right: NDArray[np.uint64]
     share: Array
 
 
 def as_computed(points: int) -> Blend:
     """Every computed point as it is."""
-    place = np.arange(points)
+    place = np.arange(points, dtype=np.uint64)
     return Blend(place, place, np.zeros(points))
 
 
@@ -42,27 +42,25 @@ def pooled(
     e, sigma, ln_sigma, doubt = row
     left, right, share = blend
     N, R, P = e.shape[0], e.shape[1], len(left)
-    S, total, mean = np.zeros((R, SUMS, P)), np.empty(P), np.empty(P)
+    S, x, s, w = np.zeros((R, SUMS, P)), np.empty(P), np.empty(P), np.empty(P)
+    ln_s, off, total, mean = np.empty(P), np.empty(P), np.empty(P), np.empty(P)
     for r in range(R):
         total[:], mean[:] = 1e-300, 0.0
         for n in range(N):
+            interpolate(e[n, r], left, right, share, x)
+            interpolate(sigma[n, r], left, right, share, s)
+            precisions(x, s, weight[n, r], w)
             for p in range(P):
-                a, b, u = left[p], right[p], share[p]
-                x = (1.0 - u) * e[n, r, a] + u * e[n, r, b]
-                s = (1.0 - u) * sigma[n, r, a] + u * sigma[n, r, b]
-                known = not (np.isnan(x) or np.isnan(s))
-                w = weight[n, r] / (s * s) if known else 0.0
-                total[p] += w
-                mean[p] += w * x if known else 0.0
-        for p in range(P):
-            mean[p] /= total[p]
+                total[p] += w[p]
+            for p in range(P):
+                mean[p] += w[p] * x[p] if w[p] > 0.0 else 0.0
         for n in range(N):
-            h1, h2 = shapes[n, r, 0], shapes[n, r, 1]
+            interpolate(e[n, r], left, right, share, x)
+            interpolate(sigma[n, r], left, right, share, s)
+            interpolate(ln_sigma[n, r], left, right, share, ln_s)
+            interpolate(doubt[n, r], left, right, share, off)
             for p in range(P):
-                a, b, u = left[p], right[p], share[p]
-                x = (1.0 - u) * e[n, r, a] + u * e[n, r, b]
-                s = (1.0 - u) * sigma[n, r, a] + u * sigma[n, r, b]
-                ln_s = (1.0 - u) * ln_sigma[n, r, a] + u * ln_sigma[n, r, b]
-                off = (1.0 - u) * doubt[n, r, a] + u * doubt[n, r, b]
-                add_point(S[r], p, tame(x, clip * s, mean[p]), s, ln_s, off, h1, h2, weight[n, r])
+                x[p] = tame(x[p], clip * s[p], mean[p] / total[p])
+            precisions(x, s, weight[n, r], w)
+            add_points(S[r], w, x, ln_s, off, shapes[n, r, 0], shapes[n, r, 1], weight[n, r])
     return S

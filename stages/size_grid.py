@@ -19,8 +19,8 @@ class Grid(NamedTuple):
     one; points and sizes of each fault in order, the log as it is among them where that is size 0, and their
     number; the log prior of each point as a healthy one, -inf for the faults'."""
 
-    left: NDArray[np.int64]
-    right: NDArray[np.int64]
+    left: NDArray[np.uint64]  # unsigned: the compiler need not look for what is counted from the end
+    right: NDArray[np.uint64]
     share: Array
     points: NDArray[np.int64]
     sizes: Array
@@ -64,4 +64,5 @@ def refined_grid(
     plain = 1.0 - sum(DRIFT_PRIOR) if drifts else 1.0
     prior[:healthy] = np.log([plain, *np.tile(DRIFT_PRIOR, drifts) / max(drifts, 1)])
     counts = np.array([len(grid) for grid in grids])
-    return Grid(np.array(left), np.array(right), np.array(share), points, sizes, counts, prior)
+    sides = np.array(left, dtype=np.uint64), np.array(right, dtype=np.uint64)
+    return Grid(*sides, np.array(share), points, sizes, counts, prior)

@@ -114,7 +114,7 @@ def test_spikes_are_held_near_the_remembered_mean() -> None:
 
 def test_sums_fade() -> None:
     S, fresh = np.ones((1, SUMS, 3)), np.full((1, SUMS, 3), 2.0)
-    fade(S, 0.5, fresh, np.array([True]))
+    fade(S, 0.5, fresh, np.ones((1, 2)))
     assert (S == 2.5).all()
 
 
@@ -153,8 +153,8 @@ def test_an_offset_known_from_before_is_taken_off(wander: float) -> None:
         add(whole, [[e, e - 0.3]], sigma=sigma)
         add(recent, [[e, e - 0.3]], sigma=sigma)
     prior = np.array([0.0, -np.inf, -np.inf])  # of being healthy, the fault, and the log as it is
-    sums = informed(recent, whole, np.array([wander]), prior)
-    L = log_likelihoods(sums, np.array([[sd, 0.0]]), np.array([[sd, 0.0]]))
+    sds = np.array([[sd, 0.0]])
+    L = log_likelihoods(informed(recent, whole, np.array([wander]), prior, sds), sds, sds)
 
     share = min(1.0, sigma**2 / (12 * wander**2))  # of the twelve samples' information
     C = sigma**2 * np.diag([*np.full(12, 1 / share), *np.ones(5)]) + sd**2
