@@ -30,8 +30,8 @@ REACH = 4.0  # steps that a vertex may be away from the best of them
 
 @dataclass(frozen=True, eq=False)
 class Additive:
-    """Sums of the log as it is, (residuals, SUMS), and what points of the refined grid add: ``linear``
-    (residuals, SUMS, points), ``gram`` (residuals, points, points)."""
+    """Sums of the log as it is, (residuals, SUMS), and what points add: ``linear`` (residuals, SUMS, points)
+    those of the refined grid, ``gram`` (residuals, computed points, computed points) those computed."""
 
     grid: Grid
     sd: Array
@@ -66,17 +66,26 @@ class Additive:
         plain[:, D], linear[:, D] = doubts[:, 0], doubts - doubts[:, :1]
         by_residual = (np.sqrt(w)[:, :, None] * d).transpose(1, 0, 2)
         gram = by_residual.transpose(0, 2, 1) @ by_residual
-        gram = _between(grid, _between(grid, gram).transpose(0, 2, 1))
-        return cls(grid, sd, plain, _between(grid, linear), gram)
+        return cls(grid, sd, plain, _between(grid, linear, slice(None)), gram)
 
     def likelihood(self, p: NDArray[np.int64], q: NDArray[np.int64]) -> Array:
         """L, but for the spreads, of points ``p`` and ``q`` of the refined grid at once, shape (p, q)."""
         S = self.linear[:, :, p, None] + self.linear[:, :, None, q] + self.plain[:, :, None, None]
-        alone = np.diagonal(self.gram, axis1=1, axis2=2)
-        S[:, Q] += alone[:, p, None] + alone[:, None, q] + 2.0 * self.gram[:, p[:, None], q]
+        both = _between(self.grid, _between(self.grid, self.gram, q).swapaxes(1, 2), p).swapaxes(1, 2)
+        S[:, Q] += self.alone[:, p, None] + self.alone[:, None, q] + 2.0 * both
         np.maximum(S[:, D], 0.0, out=S[:, D])
         L = log_likelihoods(S.reshape(*S.shape[:2], -1), self.sd, self.sd)
         return np.asarray(L).reshape(len(p), len(q))
+
+    @cached_property
+    def alone(self) -> Array:
+        """K of every point of the refined grid with itself, shape (residuals, points)."""
+        a, b, share = self.grid[:3]
+        return np.asarray(
+            (1.0 - share) ** 2 * self.gram[:, a, a]
+            + 2.0 * share * (1.0 - share) * self.gram[:, a, b]
+            + share**2 * self.gram[:, b, b]
+        )
 
     def fault(self, f: int) -> tuple[Array, NDArray[np.int64]]:
         """Sizes and points of a fault."""
@@ -112,23 +121,24 @@ class Additive:
         return height - self.single, sizes
 
 
-def _between(grid: Grid, x: Array) -> Array:
-    """The last axis at the refined grid's points instead of the computed ones."""
-    return np.asarray((1.0 - grid.share) * x[..., grid.left] + grid.share * x[..., grid.right])
+def _between(grid: Grid, x: Array, some: slice | NDArray[np.int64]) -> Array:
+    """The last axis at ``some`` of the refined grid's points instead of the computed ones."""
+    left, right, share = (of[some] for of in grid[:3])
+    return np.asarray((1.0 - share) * x[..., left] + share * x[..., right])
 
 
 def _vertex(dx: Array, dy: Array, L: Array) -> tuple[float, float, float]:
     """Height and place of the vertex of the parabola through nine values (3, 3) at ``dx``, ``dy`` (3,), no
     farther than REACH steps; the largest value where there is none."""
-    u, v = (a.ravel() for a in np.meshgrid(dx, dy, indexing="ij"))
-    terms = np.column_stack([np.ones(9), u, v, u * u, u * v, v * v])
-    c = np.linalg.lstsq(terms, L.ravel(), rcond=None)[0]
-    H = np.array([[2.0 * c[3], c[4]], [c[4], 2.0 * c[5]]])
-    best = int(L.argmax())
-    if not (np.linalg.eigvalsh(H) < 0).all():
-        return float(L.flat[best]), float(u[best]), float(v[best])
-    place = -np.linalg.solve(H, c[1:3])
-    reach = REACH * np.array([np.diff(dx).max(), np.diff(dy).max()])
-    place *= min(1.0, float((reach / np.maximum(np.abs(place), 1e-300)).min()))
-    height = c[0] + c[1:3] @ place + 0.5 * place @ H @ place
-    return max(float(height), float(L.flat[best])), float(place[0]), float(place[1])
+    u, v = np.repeat(dx, 3), np.tile(dy, 3)
+    terms = np.stack([np.ones(9), u, v, u * u, u * v, v * v], axis=1)
+    c_0, c_u, c_v, c_uu, c_uv, c_vv = np.linalg.lstsq(terms, L.ravel(), rcond=None)[0].tolist()
+    best, determinant = int(L.argmax()), 4.0 * c_uu * c_vv - c_uv**2
+    top = float(L.flat[best])
+    if not (c_uu < 0 and determinant > 0):
+        return top, float(u[best]), float(v[best])
+    x, y = (c_uv * c_v - 2.0 * c_vv * c_u) / determinant, (c_uv * c_u - 2.0 * c_uu * c_v) / determinant
+    steps = max(abs(x) / float(np.diff(dx).max()), abs(y) / float(np.diff(dy).max()))
+    x, y = (z * min(1.0, REACH / max(steps, 1e-300)) for z in (x, y))
+    height = c_0 + c_u * x + c_v * y + c_uu * x * x + c_uv * x * y + c_vv * y * y
+    return max(height, top), x, y

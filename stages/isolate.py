@@ -125,9 +125,13 @@ class Isolate:
         return self._shaped.union(self.rest, *(h.needs for h in self.hypotheses.values()))
 
     @cached_property
+    def _formulas(self) -> dict[str, Formula]:
+        return {text: Formula(text) for shapes in self.offsets.values() for text in shapes}
+
+    @property
     def _shaped(self) -> set[str]:
         """What the offsets' shapes are made of."""
-        return {name for s in self.offsets.values() for text in s for name in Formula(text).names}
+        return {name for formula in self._formulas.values() for name in formula.names}
 
     @property
     def adds(self) -> set[str]:
@@ -240,15 +244,9 @@ class Isolate:
         return IsolateState(first, last, seen, memory), add_columns(block, self._columns(*out))
 
     def _columns(
-        self,
-        statistic: Array,
-        detection: NDArray[np.int8],
-        evidence: Array,
-        p: Array,
-        size: Array,
-        sd: Array,
-        least: Array,
-    ) -> dict[str, NDArray[Any]]:
+        self, statistic: Array, detection: NDArray[np.int8], evidence: Array, p: Array, size: Array,
+        sd: Array, least: Array,
+    ) -> dict[str, NDArray[Any]]:  # fmt: skip
         added: dict[str, NDArray[Any]] = {STATISTIC: statistic, DETECTION: detection}
         for i, fault in enumerate(self.hypotheses):
             added |= {
@@ -292,7 +290,7 @@ class Isolate:
         shapes = np.zeros((len(values[TIME]), len(residuals), 2))
         for i, r in enumerate(residuals):
             for k, text in enumerate(self.offsets.get(r, {})):
-                shapes[:, i, k] = Formula(text)(values)
+                shapes[:, i, k] = self._formulas[text](values)
             if r not in self.offsets:
                 shapes[:, i, 0] = 1.0  # for `unknown`
         return shapes

@@ -319,6 +319,8 @@ def _predicted(
     if model is None:
         return np.zeros(holds.shape), np.zeros(holds.shape), np.where(holds, np.inf, 0.0)
     found = known or _evaluated(model, inputs, values)
+    if holds.all():
+        return found.prediction, found.doubt, found.novelty
     return (
         np.where(holds, found.prediction, 0.0),
         np.where(holds, found.doubt, 0.0),

@@ -153,10 +153,10 @@ class Residuals:
 
     def _weight(self, name: str, values: Mapping[str, NDArray[np.float64]]) -> NDArray[np.float64]:
         """Gate times trust, at least ``MIN_GATE``."""
-        weight = np.asarray(values.get(GATE, np.ones(values[TIME].shape)))
+        weight = np.asarray(values[GATE] if GATE in values else np.ones(values[TIME].shape))
         if name in self.trusts:
             weight = weight * self.trusts[name](values)
-        return np.asarray(np.maximum(np.nan_to_num(weight, nan=MIN_GATE), MIN_GATE))
+        return np.asarray(np.fmax(weight, MIN_GATE))
 
 
 def _model_variance(
