@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping
+from copy import copy
 from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any, Literal
 
@@ -117,6 +118,14 @@ class Group:
             signals = {c: signals[c] if c in signals else Signal(name=c) for c in order[1:]}
         object.__setattr__(self, "frame", frame)
         object.__setattr__(self, "signals", signals)
+
+    def adding(self, columns: Iterable[pl.Series], signals: Mapping[str, Signal]) -> Group:
+        """With more ``columns``, or others in the place of its own, NaN being null in them, and the
+        ``signals`` of those that are new: what was there is not looked at again."""
+        group = copy(self)
+        object.__setattr__(group, "frame", self.frame.with_columns(columns))
+        object.__setattr__(group, "signals", {**self.signals, **signals})
+        return group
 
     @property
     def time(self) -> NDArray[np.float64]:

@@ -150,6 +150,8 @@ class Samples:
         if len(x) < 5:
             return
         least = 0.0 if len(x) < _MANY else (0.5 * _SPIKE) ** 2 * _squares(step) / len(step)
+        if step.max() * step.min() >= -least:  # nor is that of any two in a row
+            return
         at = np.flatnonzero(step[1:-2] * step[2:-1] < -least) + 2
         height = np.minimum(np.abs(step[at - 1]), np.abs(step[at]))
         around = np.abs(np.stack([x[at + 1] - x[at - 1], step[at - 2], step[at + 1]]))

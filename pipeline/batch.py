@@ -75,7 +75,7 @@ def run(
                 row |= {"recipe": detector.recipe.name, "detector": detector.key}
                 summary.add(row)
                 progress(task.name, row)
-        summary.write()
+        summary.finish()
         return summary.frame(only=[task.name for task in tasks])
 
 

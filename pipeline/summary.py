@@ -75,12 +75,17 @@ class Summary:
         self.earlier = {row["log"]: row for row in _read(out)}
         self.rows = dict(self.earlier)
         self.vehicles = Vehicles.load(out / VEHICLES)
-        self._written, self._took = 0.0, 0.0
+        self._written, self._took, self._whole = 0.0, 0.0, False
 
     def add(self, row: Row) -> None:
         """Take in a log's row, and write all files unless that was done a moment ago."""
-        self.rows[row["log"]] = row
+        self.rows[row["log"]], self._whole = row, False
         if (len(self.rows) <= FEW and not self.url) or time.monotonic() - self._written > SHARE * self._took:
+            self.write()
+
+    def finish(self) -> None:
+        """See to it that the files say all."""
+        if not self._whole:
             self.write()
 
     def write(self) -> None:
@@ -101,7 +106,7 @@ class Summary:
             ) from None
         if self.url:
             send_files([f for f in self.out.iterdir() if f.is_file()], self.url)
-        self._written = time.monotonic()
+        self._written, self._whole = time.monotonic(), True
         self._took = self._written - began
 
     def frame(self, only: Iterable[str] | None = None) -> pl.DataFrame:

@@ -52,15 +52,18 @@ def accommodate(
     reading = log.values(signal)
     row = np.searchsorted(samples[TIME].to_numpy(), group.time, side="right") - 1
     alarm = samples[DETECTION].to_numpy() > 0
-    together, known, shift, square = np.zeros((4, len(reading)))
+    together, (known, shift, square) = np.zeros(samples.height + 1), np.zeros((3, len(reading)))
     for name in (c.removeprefix(PROBABILITY) for c in samples.columns if c.startswith(PROBABILITY)):
         fault = next((f for f in (*name.split(PAIR), name + OF + signal) if f in undoing), None)
         if fault is None and not {SENSOR + name + OF + signal, EXPECTED + signal} <= {*samples.columns}:
             continue
         p = np.where(alarm & _is_of(signal, name, samples), samples[PROBABILITY + name].to_numpy(), 0.0)
-        p = np.append(p, 0.0)[row]  # the last for what comes before all samples
-        here = np.flatnonzero(p >= NEGLIGIBLE)
+        p = np.append(p, 0.0)  # the last for what comes before all samples
         together += p
+        if p.max() < NEGLIGIBLE:
+            continue
+        p = p[row]
+        here = np.flatnonzero(p >= NEGLIGIBLE)
         sized = name + OF + fault if fault and PAIR in name else fault or ""
         kinds = (SIZE + sized, SIZE_SD + sized) if fault else (EXPECTED + signal, EXPECTED_SD + signal)
         x, sd = (samples[c].to_numpy()[row[here]] for c in kinds)
@@ -71,7 +74,7 @@ def accommodate(
         known[here] += p
         shift[here] += p * moved
         square[here] += p * (moved**2 + sd**2)
-    isolated = (together >= MIN_PROBABILITY) & (known > 0)
+    isolated = (together[row] >= MIN_PROBABILITY) & (known > 0)
     shift, square = (np.where(isolated, x / np.maximum(known, NEGLIGIBLE), 0.0) for x in (shift, square))
     corrected, sd = reading + shift, np.sqrt(np.maximum(square - shift**2, 0.0))
     written = [signal, signal + CORRECTED, signal + CORRECTED_SD]

@@ -70,7 +70,8 @@ class Additive:
 
     def likelihood(self, p: NDArray[np.int64], q: NDArray[np.int64]) -> Array:
         """L, but for the spreads, of points ``p`` and ``q`` of the refined grid at once, shape (p, q)."""
-        S = self.linear[:, :, p, None] + self.linear[:, :, None, q] + self.plain[:, :, None, None]
+        first, second = (np.take(self.linear, some, axis=2) for some in (p, q))
+        S = first[..., None] + second[:, :, None] + self.plain[:, :, None, None]
         both = _between(self.grid, _between(self.grid, self.gram, q).swapaxes(1, 2), p).swapaxes(1, 2)
         S[:, Q] += self.alone[:, p, None] + self.alone[:, None, q] + 2.0 * both
         np.maximum(S[:, D], 0.0, out=S[:, D])
@@ -123,8 +124,9 @@ class Additive:
 
 def _between(grid: Grid, x: Array, some: slice | NDArray[np.int64]) -> Array:
     """The last axis at ``some`` of the refined grid's points instead of the computed ones."""
-    left, right, share = (of[some] for of in grid[:3])
-    return np.asarray((1.0 - share) * x[..., left] + share * x[..., right])
+    left, right = (np.take(x, side[some].astype(np.intp), axis=-1) for side in grid[:2])
+    share = grid.share[some]
+    return np.asarray((1.0 - share) * left + share * right)
 
 
 def _vertex(dx: Array, dy: Array, L: Array) -> tuple[float, float, float]:

@@ -90,7 +90,7 @@ def features(X: Array, XT: Array, centres: Array, width: float) -> Array:
     """F, shape (N, (M + 1) (k + 1)); of a single centre only the common part."""
     M, k = len(centres), X.shape[1]
     F = np.empty((len(X), (M + 1) * (k + 1) if M > 1 else k + 1))
-    _features(X, XT, centres, 1.0 / (2 * width**2), F)
+    _features(np.ascontiguousarray(X), XT, centres, 1.0 / (2 * width**2), F)
     return F
 
 

@@ -23,7 +23,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from stages.likelihood import SUMS, evidence_of, fade, informed, log_likelihoods, overwrite
-from stages.memory import EVIDENCE, NAMED, SINCE, SIZE, Memory, Settings
+from stages.memory import EVIDENCE, NAMED, SINCE, SIZE, Memory, Settings, inlined
 from stages.size_grid import Grid
 
 Array = NDArray[np.float64]
@@ -39,7 +39,7 @@ def nearest(points: NDArray[np.int64], sizes: Array, size: float) -> int:  # pra
     return int(points[near])
 
 
-@njit(cache=True, error_model="numpy")
+@inlined
 def ends(memory: Memory, settings: Settings, grid: Grid) -> bool:  # pragma: no cover - compiled
     """Whether the fault is over; begins ``ended`` anew where it is not."""
     clocks, f = memory.clocks, int(memory.clocks[NAMED])
@@ -65,7 +65,7 @@ def chosen(S: Array, points: NDArray[np.int64]) -> Array:  # pragma: no cover - 
     return sums
 
 
-@njit(cache=True, error_model="numpy")
+@inlined
 def shorten(memory: Memory, settings: Settings, grid: Grid) -> None:  # pragma: no cover - compiled
     """Let the episode be no longer than the memory over which the named fault's size is not that of
     before."""
@@ -93,13 +93,12 @@ def shorten(memory: Memory, settings: Settings, grid: Grid) -> None:  # pragma: 
         clocks[SINCE] = settings.memories[since]
 
 
-@njit(cache=True, error_model="numpy")
+@inlined
 def judge(memory: Memory, settings: Settings, grid: Grid) -> None:  # pragma: no cover - compiled
     """Evidence of the episode and the probabilities, in alarm."""
     clocks, T, F = memory.clocks, len(memory.S) - 2, grid.points.shape[0]
-    whole, evidence, p = memory.before.copy(), memory.evidence, memory.p
-    fade(whole, 1.0, memory.S[T], settings.sd)
-    sums = informed(memory.S[T], whole, settings.wander, grid.prior, settings.sd)
+    evidence, p, nothing = memory.evidence, memory.p, memory.fresh  # which has just been settled
+    sums = informed(memory.S[T], memory.before, nothing, settings.wander, grid.prior, settings.sd)
     L = log_likelihoods(sums, settings.sd, settings.unknown_sd)
     for i in range(len(L)):
         L[i] += memory.kept[i]

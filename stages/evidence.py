@@ -39,6 +39,7 @@ from stages.memory import (
     Memory,
     Rows,
     Settings,
+    inlined,
     remember,
     settle,
 )
@@ -48,7 +49,7 @@ Array = NDArray[np.float64]
 QUANTILE = 1.645  # 95 % of a normal deviate lie below
 
 
-@njit(cache=True, error_model="numpy")
+@inlined
 def step_likelihoods(
     memory: Memory, settings: Settings, grid: Grid, age: float
 ) -> Array:  # pragma: no cover - compiled
@@ -76,7 +77,7 @@ def step_likelihoods(
     return log_likelihoods(sums, settings.unknown_sd, settings.unknown_sd)
 
 
-@njit(cache=True, error_model="numpy")
+@inlined
 def note_rest(memory: Memory) -> None:  # pragma: no cover - compiled
     """Keep the rest's sums once a second, in a ring that is longer than the greatest age of a step."""
     now = memory.clocks[RESTED]
@@ -108,7 +109,7 @@ def note_detectable(
                 detectable[f] = min(detectable[f], size)
 
 
-@njit(cache=True, error_model="numpy")
+@inlined
 def weigh(memory: Memory, settings: Settings, grid: Grid) -> int:  # pragma: no cover - compiled
     """Evidence over every memory and for steps, without an alarm; which of them exceeds its threshold
     most."""
@@ -124,7 +125,8 @@ def weigh(memory: Memory, settings: Settings, grid: Grid) -> int:  # pragma: no 
         else:
             sums = S[i]
             if offsets_known(sums, S[T - 1], settings.sd, settings.wander):
-                sums, row = informed(sums, S[T - 1], settings.wander, grid.prior, settings.sd), T + 1
+                sums = informed(sums, S[T - 1], sums, settings.wander, grid.prior, settings.sd)
+                row = T + 1
             L = log_likelihoods(sums, settings.sd, settings.unknown_sd)
             note_detectable(L, settings.threshold[row], grid, memory.detectable)
         evidence_of(L, grid, evidence, size, size_sd)
@@ -141,7 +143,7 @@ def weigh(memory: Memory, settings: Settings, grid: Grid) -> int:  # pragma: no 
     return strongest
 
 
-@njit(cache=True, error_model="numpy")
+@inlined
 def decide(
     memory: Memory, settings: Settings, grid: Grid, elapsed: float
 ) -> None:  # pragma: no cover - compiled

@@ -182,25 +182,25 @@ def offsets_known(
 
 @njit(cache=True, error_model="numpy")
 def informed(
-    recent: Array, whole: Array, wander: Array, prior: Array, sd: Array
+    recent: Array, whole: Array, taken: Array, wander: Array, prior: Array, sd: Array
 ) -> Array:  # pragma: no cover - compiled
-    """Sums of the ``recent`` under every point, and of what came before it in the ``whole`` under none but
-    those with a ``prior``, which healthy logs show.
+    """Sums of the ``recent`` under every point, and of what came before it, the ``whole`` less what is
+    ``taken`` off, under none but those with a ``prior``, which healthy logs show.
 
     So the offsets are known from before, but for what they ``wander`` within a log, a standard deviation
     (residuals,): what was before counts as no more than would tell them so well. ``sd`` as in :func:`fade`.
     """
     sums, P = np.empty(recent.shape), recent.shape[2]
     for r in range(recent.shape[0]):
-        information = (whole[r, A11, 0] - recent[r, A11, 0]) * wander[r] ** 2
+        information = (whole[r, A11, 0] - taken[r, A11, 0]) * wander[r] ** 2
         share = min(1.0, 1.0 / information) if information > 0 else 0.0
         for k in range(SUMS if sd[r, 1] > 0 else PLAIN):
-            before = share * (whole[r, k, 0] - recent[r, k, 0])
+            before = share * (whole[r, k, 0] - taken[r, k, 0])
             for p in range(P):
                 sums[r, k, p] = recent[r, k, p] + before
             for p in range(P):
                 if p == P - 1 or prior[p] > -np.inf:
-                    sums[r, k, p] = recent[r, k, p] + share * (whole[r, k, p] - recent[r, k, p])
+                    sums[r, k, p] = recent[r, k, p] + share * (whole[r, k, p] - taken[r, k, p])
     return sums
 
 

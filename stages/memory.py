@@ -21,6 +21,8 @@ Array = NDArray[np.float64]
 ALARM, HELD, NAMED, SIZE, EVIDENCE, SINCE, DECIDED, FADED, RESTED, SEEN, ACTIVE = range(11)  # clocks
 CLOCKS = 11
 
+inlined = njit(inline="always")  # into the one function that calls it: compiled once, not with every caller
+
 
 class Rows(NamedTuple):
     """What is known of a block's rows, ``active`` is each one's number among those looked at, else -1. Only
@@ -99,7 +101,7 @@ def settle(memory: Memory, settings: Settings) -> None:  # pragma: no cover - co
     memory.clocks[FADED] = 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@inlined
 def remember(
     memory: Memory, settings: Settings, grid: Grid, rows: Rows, k: int
 ) -> None:  # pragma: no cover - compiled

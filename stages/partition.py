@@ -203,7 +203,8 @@ def _moments(
             level += weight[r] * y[r]
             for j in range(d):
                 mean[m, j] += weight[r] * S[r, j]
-        mean[m] /= max(mass, 1e-300)
+        for j in range(d):
+            mean[m, j] /= max(mass, 1e-300)
         level /= max(mass, 1e-300)
         for r in part:
             for j in range(d):
@@ -241,5 +242,6 @@ def _halve(
         if step == 2 or count == 0 or count == N:
             break
         for k in range(2):
-            two[k] = sums[k] / mass[k]
+            for j in range(d):
+                two[k, j] = sums[k, j] / mass[k]
     return upper

@@ -16,7 +16,7 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from ingest.log import TIME, Group, Log, Signal
+from ingest.log import TIME, Log, Signal
 
 ANALYSIS = "analysis"  # the one group that stages after `align` work on
 Arrays = Mapping[str, NDArray[Any]]
@@ -155,7 +155,6 @@ def add_columns(block: Log, added: Mapping[str, NDArray[Any]], units: Mapping[st
     """The block with more (or replaced) columns in its analysis group."""
     group = block.groups[ANALYSIS]
     units = units or {}
-    frame = group.frame.with_columns(pl.Series(n, v) for n, v in added.items())
+    series = [pl.Series(n, v, nan_to_null=v.dtype.kind == "f") for n, v in added.items()]
     new = {n: Signal(name=n, unit=units.get(n)) for n in added if n not in group.signals or n in units}
-    group = Group(group.name, frame, {**group.signals, **new})
-    return replace(block, groups={**block.groups, ANALYSIS: group})
+    return replace(block, groups={**block.groups, ANALYSIS: group.adding(series, new)})

@@ -29,7 +29,8 @@ def nested_centres(X: Array, levels: int) -> list[Array]:
     centres = [X.mean(axis=0, keepdims=True)]
     for _ in range(levels):
         new = np.empty((2 * len(centres[-1]), X.shape[1]))
-        count = _split(X, unit, len(centres[-1]), X.shape[1] + 2, new)
+        order = np.argsort(unit, kind="stable")
+        count = _split(X, unit, order, len(centres[-1]), X.shape[1] + 2, new)
         if count == len(centres[-1]):
             break
         centres.append(new[:count])
@@ -37,29 +38,32 @@ def nested_centres(X: Array, levels: int) -> list[Array]:
 
 
 @njit(cache=True)
-def _split(X: Array, unit: Ints, cells: int, least: int, out: Array) -> int:  # pragma: no cover - compiled
-    """Split every cell; ``unit`` becomes the new assignment, ``out`` the new centres; returns their
-    number."""
+def _split(
+    X: Array, unit: Ints, order: Ints, cells: int, least: int, out: Array
+) -> int:  # pragma: no cover - compiled
+    """Split every cell, whose rows follow one another in ``order``; ``unit`` becomes the new assignment,
+    ``out`` the new centres; returns their number. Loops, as whole rows take long to compile."""
     N, d = X.shape
-    order = np.argsort(unit, kind="mergesort")
     count = start = 0
+    two, sums, share, mean = np.empty((2, d)), np.empty((2, d)), np.empty(2), np.empty(d)
     for cell in range(cells):
         end = start
         while end < N and unit[order[end]] == cell:
             end += 1
-        rows = order[start:end].copy()
+        rows = order[start:end]
         start = end
-        mean = np.zeros(d)
+        mean[:] = 0.0
         for r in rows:
-            mean += X[r]
-        mean /= max(len(rows), 1)
-        two = np.empty((2, d))
+            for j in range(d):
+                mean[j] += X[r, j]
+        for j in range(d):
+            mean[j] /= max(len(rows), 1)
         reach = _principal(X, rows, mean)
-        two[0], two[1] = mean - 0.8 * reach, mean + 0.8 * reach
+        for j in range(d):
+            two[0, j], two[1, j] = mean[j] - 0.8 * reach[j], mean[j] + 0.8 * reach[j]
         upper = np.zeros(len(rows), dtype=np.int64)
         for step in range(LLOYD_STEPS + 1):
-            share = np.zeros(2)
-            sums = np.zeros((2, d))
+            share[:], sums[:] = 0.0, 0.0
             for i in range(len(rows)):
                 a = b = 0.0
                 for j in range(d):
@@ -67,18 +71,21 @@ def _split(X: Array, unit: Ints, cells: int, least: int, out: Array) -> int:  # 
                     b += (X[rows[i], j] - two[1, j]) ** 2
                 upper[i] = b < a
                 share[upper[i]] += 1
-                sums[upper[i]] += X[rows[i]]
+                for j in range(d):
+                    sums[upper[i], j] += X[rows[i], j]
             if min(share[0], share[1]) < least or step == LLOYD_STEPS:
                 break
-            two[0], two[1] = sums[0] / share[0], sums[1] / share[1]
+            for j in range(d):
+                two[0, j], two[1, j] = sums[0, j] / share[0], sums[1, j] / share[1]
         if min(share[0], share[1]) < least:
-            out[count] = mean
+            for j in range(d):
+                out[count, j] = mean[j]
             for r in rows:
                 unit[r] = count
             count += 1
             continue
-        for side in range(2):
-            out[count + side] = sums[side] / share[side]
+        for j in range(d):
+            out[count, j], out[count + 1, j] = sums[0, j] / share[0], sums[1, j] / share[1]
         for i in range(len(rows)):
             unit[rows[i]] = count + upper[i]
         count += 2
@@ -88,27 +95,39 @@ def _split(X: Array, unit: Ints, cells: int, least: int, out: Array) -> int:  # 
 @njit(cache=True)
 def _principal(X: Array, rows: Ints, mean: Array) -> Array:  # pragma: no cover - compiled
     """The first principal axis, as long as the standard deviation along it (power iteration)."""
-    d = X.shape[1]
-    C = np.zeros((d, d))
+    d, widest = X.shape[1], 0
+    C, axis, next_ = np.zeros((d, d)), np.zeros(d), np.zeros(d)
     for r in rows:
         for i in range(d):
             for j in range(i + 1):
                 C[i, j] += (X[r, i] - mean[i]) * (X[r, j] - mean[j])
     for i in range(d):
-        for j in range(i):
+        for j in range(i + 1):
+            C[i, j] /= max(len(rows), 1)
             C[j, i] = C[i, j]
-    C /= max(len(rows), 1)
-    axis = np.zeros(d)
-    widest = 0
     for i in range(d):
         if C[i, i] > C[widest, widest]:
             widest = i
-    axis[:] = C[widest]
+    for i in range(d):
+        axis[i] = C[widest, i]
     for _ in range(POWER_STEPS):
-        length = np.sqrt((axis**2).sum())
+        length = _length(axis)
         if length == 0.0:
             return axis
-        axis = C @ (axis / length)
-    variance = np.sqrt((axis**2).sum())
-    axis *= np.sqrt(variance) / max(variance, 1e-300)
+        next_[:] = 0.0
+        for i in range(d):
+            for j in range(d):
+                next_[i] += C[i, j] * (axis[j] / length)
+        axis, next_ = next_, axis
+    variance = _length(axis)
+    for i in range(d):
+        axis[i] *= np.sqrt(variance) / max(variance, 1e-300)
     return axis
+
+
+@njit(cache=True)
+def _length(x: Array) -> float:  # pragma: no cover - compiled
+    square = 0.0
+    for i in range(len(x)):
+        square += x[i] * x[i]
+    return float(np.sqrt(square))

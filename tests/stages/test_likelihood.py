@@ -154,7 +154,7 @@ def test_an_offset_known_from_before_is_taken_off(wander: float) -> None:
         add(recent, [[e, e - 0.3]], sigma=sigma)
     prior = np.array([0.0, -np.inf, -np.inf])  # of being healthy, the fault, and the log as it is
     sds = np.array([[sd, 0.0]])
-    L = log_likelihoods(informed(recent, whole, np.array([wander]), prior, sds), sds, sds)
+    L = log_likelihoods(informed(recent, whole, recent, np.array([wander]), prior, sds), sds, sds)
 
     share = min(1.0, sigma**2 / (12 * wander**2))  # of the twelve samples' information
     C = sigma**2 * np.diag([*np.full(12, 1 / share), *np.ones(5)]) + sd**2
