@@ -28,15 +28,14 @@ class Evaluation(NamedTuple):
 
 @njit(cache=True, error_model="numpy", fastmath={"contract", "reassoc"})
 def evaluate(
-    S: Array, nodes: Array, width: float, theta: Array, root: Array, mean: Array, whiten: Array, reach: float
+    S: Array, nodes: Array, width: float, linear: Array, mean: Array, whiten: Array, reach: float
 ) -> tuple[Array, Array, Array, NDArray[np.int32]]:  # pragma: no cover - compiled
-    """``S`` (N, d), ``nodes`` and ``mean`` (M, d), ``theta`` (M, d + 1), ``root`` (M (d + 1), B), ``whiten``
-    (M, d, d); ``width`` 0 for hard regions."""
+    """``S`` (N, d), ``nodes`` and ``mean`` (M, d), ``whiten`` (M, d, d); ``linear`` (B + 1, M (d + 1)): what
+    makes deviations and at last the prediction of the blended regressors; ``width`` 0 for hard regions."""
     N, d = S.shape
-    B = root.shape[1]
+    B = len(linear) - 1
     prediction, doubt, novelty = np.full(N, np.nan), np.full(N, np.nan), np.full(N, np.nan)
     unit = np.full(N, np.int32(-1))
-    linear = np.vstack((root.T, theta.reshape(1, -1)))  # of the blended regressors
     s, weight, best = np.zeros((d, ROWS)), np.empty((len(nodes), ROWS)), np.empty(ROWS, dtype=np.int32)
     variance = np.empty(ROWS)
     blended = np.empty((len(nodes) * (d + 1), ROWS))  # of each node 1 and s, times its weight

@@ -22,6 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 from typing import Literal
 
@@ -61,6 +62,11 @@ class Gsmms:
     reach: float
     bend: float = 0.0
 
+    @cached_property
+    def _linear(self) -> Array:
+        """What makes the deviations and at last the prediction of the blended regressors."""
+        return np.vstack([self.root.T, self.theta.ravel()])
+
     def evaluate(self, S: Array) -> Evaluation:
         """Prediction, doubt, novelty and region for normalised regressors ``S`` (N, d), each of shape (N,).
 
@@ -70,8 +76,8 @@ class Gsmms:
         """
         return Evaluation(
             *evaluate(
-                np.ascontiguousarray(S), self.partition.nodes, self.width, self.theta,
-                np.ascontiguousarray(self.root), self.mean, self.whiten, self.reach,
+                np.ascontiguousarray(S), self.partition.nodes, self.width, self._linear, self.mean,
+                self.whiten, self.reach,
             )
         )  # fmt: skip
 

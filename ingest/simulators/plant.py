@@ -39,6 +39,11 @@ def _compile(function: F_) -> F_:
     return cast(F_, njit(cache=True, error_model="numpy")(function))
 
 
+def _inlined(function: F_) -> F_:
+    """Compiled into the one function that calls it, and not with all those that call that one."""
+    return cast(F_, njit(inline="always")(function))
+
+
 _flow_function: Callable[..., float] = _compile(flow_function)
 
 
@@ -53,7 +58,7 @@ def _orifice(area: float, p_up: float, T_up: float, p_dn: float, T_dn: float, ai
     return -area * p_dn / sqrt(R * T_dn) * _flow_function(p_up / p_dn, kappa, crit, lin)
 
 
-@_compile
+@_inlined
 def _compressor(w: float, p_dn: float, p_up: float, P: Plant) -> tuple[float, float, float]:
     """Flow (kg/s), outlet temperature (K), power (W).
 
@@ -70,7 +75,7 @@ def _compressor(w: float, p_dn: float, p_up: float, P: Plant) -> tuple[float, fl
     return W_max * phi, P.T_Amb + dT, W_max * phi * CP_A * dT
 
 
-@_compile
+@_inlined
 def _turbine(w: float, area: float, p_up: float, T_up: float, p_dn: float, P: Plant) -> tuple[float, float]:
     """Flow (kg/s) and power (W): ``sqrt(1 - Pi^K)`` and an efficiency over the blade speed ratio, both of
     Wahlström and Eriksson (2011); straight above Pi = 0.97."""
@@ -82,7 +87,7 @@ def _turbine(w: float, area: float, p_up: float, T_up: float, p_dn: float, P: Pl
     return W, W * dh * P.eta_turb_max * max(1.0 - (BSR / P.BSR_opt - 1.0) ** 2, 0.05)
 
 
-@_compile
+@_inlined
 def _flows(x: Array, u: Array, P: Plant, f: Array) -> None:
     """All that follows algebraically from states ``x`` and inputs ``u``: flows, temperatures, powers."""
     p_Bst, m_Bst, p_Int, m_Air, m_Egr, m_Exh, w, T_Exh = x[0], x[1], x[2], x[3], x[4], x[6], x[7], x[8]
@@ -175,7 +180,7 @@ def _ramp(x: float, low: float, high: float) -> float:
     return min(max((x - low) / (high - low), 0.0), 1.0)
 
 
-@_compile
+@_inlined
 def _control(
     c: Array, n: float, demand: float, read: Array, alpha: float, egr_active: bool, P: Plant, C: Control
 ) -> tuple[float, float, float]:
@@ -210,7 +215,7 @@ def _control(
     return vnt, egr, c[3] / (14.6 * C.lambda_smoke)
 
 
-@_compile
+@_inlined
 def _sense(
     k: int,
     x: Array,
@@ -266,7 +271,8 @@ def run(
     K, u, u_0, u_1, f = np.zeros((5, x.size)), np.zeros(6), np.zeros(6), np.zeros(6), np.zeros(13)
     held, filtered, y = np.zeros(4), np.empty((2, 2)), np.zeros((2, 4))
     filtered[:, 0], filtered[:, 1] = x[9], x[10]
-    c = np.array([P.p_Amb, 0.0, 0.0, x[14]])
+    c = np.zeros(4)
+    c[0], c[3] = P.p_Amb, x[14]
     vnt, valve, p_Exh = 0.5, 0.0, x[11]
     _inputs(u_0, drive[0, 0], drive[0, 1], vnt, valve, 0, F, P)
     for k in range(drive.shape[0]):
@@ -275,10 +281,14 @@ def run(
         _sense(k, x, alpha, noise, F, S, held, filtered, y)
         p_Exh += alpha * (x[11] + S.sd_p * noise[k, 6] - p_Exh)
         _derivatives(x, u_0, P, S, K[0], f)
-        out[k, 0:4], out[k, 4:8] = y[0], y[1]
+        for j in range(4):  # whole rows take long to compile
+            out[k, j], out[k, 4 + j] = y[0, j], y[1, j]
         out[k, 8], out[k, 9], out[k, 10] = p_Exh, x[12], x[15]
         out[k, 11], out[k, 12], out[k, 13], out[k, 14], out[k, 15] = n, u_0[1], vnt, valve, u_0[3]
-        out[k, 16:23], out[k, 23:32] = f[:7], x[:9]
+        for j in range(7):
+            out[k, 16 + j] = f[j]
+        for j in range(9):
+            out[k, 23 + j] = x[j]
         if k + 1 < drive.shape[0]:
             command, opening, limit = _control(c, n, drive[k, 1], y[0], alpha, egr_active, P, C)
             vnt += (1.0 - exp(-1.0 / (RATE_HZ * C.tau_Vnt))) * (command - vnt)
@@ -286,4 +296,5 @@ def run(
             valve = 0.0 if valve < 1e-6 else valve  # shut, not forever nearly so
             _inputs(u_1, drive[k + 1, 0], min(drive[k + 1, 1], limit), vnt, valve, k + 1, F, P)
             _advance(x, u_0, u_1, steps, P, S, K, u, f)
-            u_0[:] = u_1
+            for j in range(6):
+                u_0[j] = u_1[j]

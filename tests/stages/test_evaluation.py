@@ -18,7 +18,7 @@ S = rng.uniform(-1, 2, (400, D))
 
 
 def at(S: np.ndarray, width: float) -> Evaluation:
-    return Evaluation(*evaluate(S, NODES, width, THETA, ROOT, MEAN, WHITEN, 1.7))
+    return Evaluation(*evaluate(S, NODES, width, np.vstack([ROOT.T, THETA.ravel()]), MEAN, WHITEN, 1.7))
 
 
 @pytest.mark.parametrize("width", [0.0, 0.05, 0.4])
