@@ -165,8 +165,10 @@ class Window:
 
     def _stacked(self, found: dict[str, Array], kind: str, K: int) -> Array:
         """Columns of all residuals, shape (rows, residuals, K)."""
-        columns = [found[kind + r] for r in self.points.residuals]
-        return np.stack([np.broadcast_to(x, (K, len(self.weight))).T for x in columns], axis=1)
+        stacked = np.empty((len(self.weight), len(self.points.residuals), K))
+        for r, name in enumerate(self.points.residuals):
+            stacked[:, r] = found[kind + name].T
+        return stacked
 
     def both(self, i: int, j: int, sizes: Array) -> Array:
         """L with hypotheses ``i`` and ``j`` undone one after the other, ``sizes`` (K, 2); shape (K,)."""

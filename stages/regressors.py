@@ -59,8 +59,10 @@ class Regressors:
         self, values: Mapping[str, NDArray[np.float64]], wanted: Set[str] | None = None
     ) -> dict[str, NDArray[Any]]:
         added: dict[str, NDArray[Any]] = {}
+        scope = dict(values)
         for name, formula in self.formulas.items():
             if wanted is None or name in wanted:
-                value = formula({**values, **added})
-                added[name] = np.broadcast_to(value, np.broadcast_shapes(value.shape, values[TIME].shape))
+                value = formula(scope)
+                shape = np.broadcast_shapes(value.shape, values[TIME].shape)
+                added[name] = scope[name] = value if value.shape == shape else np.broadcast_to(value, shape)
         return added

@@ -91,6 +91,12 @@ class Relation:
         columns = {n + SUFFIX for n in (*self.inputs, *self.otherwise)}
         return columns.union(*(f.names for f in self.formulas))
 
+    @cached_property
+    def everywhere(self) -> bool:
+        """Whether it holds wherever the log is."""
+        where = self.formulas[1]
+        return not where.names and bool(where({}) > 0)
+
     def holds(self, values: Values) -> NDArray[np.bool_]:
         """Where the relation says something else than 0, shape (rows,)."""
         value = self.formulas[1](values)
@@ -315,12 +321,13 @@ def _predicted(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Prediction, doubt and novelty, from what the model says if that is ``known``; 0 where the relation does
     not hold, and where it never held in training infinitely novel."""
+    if model is not None and relation.everywhere:
+        found = known or _evaluated(model, inputs, values)
+        return found.prediction, found.doubt, found.novelty
     holds = relation.holds(values)
     if model is None:
         return np.zeros(holds.shape), np.zeros(holds.shape), np.where(holds, np.inf, 0.0)
     found = known or _evaluated(model, inputs, values)
-    if holds.all():
-        return found.prediction, found.doubt, found.novelty
     return (
         np.where(holds, found.prediction, 0.0),
         np.where(holds, found.doubt, 0.0),
@@ -330,9 +337,12 @@ def _predicted(
 
 def _evaluated(model: Gsmms, inputs: Sequence[str], values: Values) -> Evaluation:
     """The model at every row, in the shape of its inputs."""
-    given = np.broadcast_arrays(*(values[n + SUFFIX] for n in inputs))
-    found = model.evaluate(np.column_stack([x.ravel() for x in given]))
-    shape = given[0].shape
+    given = [values[n + SUFFIX] for n in inputs]
+    shape = np.broadcast_shapes(*(x.shape for x in given))
+    S = np.empty((*shape, len(given)))
+    for j, x in enumerate(given):
+        S[..., j] = x
+    found = model.evaluate(S.reshape(-1, len(given)))
     return Evaluation(
         found.prediction.reshape(shape), found.doubt.reshape(shape), found.novelty.reshape(shape),
         found.unit.reshape(shape),

@@ -132,8 +132,8 @@ class Residuals:
         if not self.learned:
             raise RecipeError("residuals: nothing learned yet; fit it first")
         table = self.learned["sigma"]
-        regime = np.nan_to_num(values[REGIME], nan=-1).astype(int)
-        unit = np.where((regime < 0) | (regime >= table.shape[1] - 1), table.shape[1] - 1, regime)
+        regime, never_met = values[REGIME], table.shape[1] - 1
+        unit = np.where((regime >= 0) & (regime < never_met), regime, never_met).astype(int)
         added: dict[str, NDArray[Any]] = {}
         for i, (name, formula) in enumerate(self.formulas.items()):
             if wanted is not None and wanted.isdisjoint(k + name for k in KINDS):
