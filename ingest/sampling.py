@@ -148,6 +148,8 @@ def number(value: Any) -> float | None:
 def clock_events(time: Floats) -> list[Event]:
     """Gaps, longest first, and jumps back of the clock."""
     step = np.diff(time)
+    if not len(step) or 0 <= step.max() <= GAP * step.min():  # none is far from the median
+        return []
     if not (step > 0).any():
         return []
     median = float(np.median(step[step > 0]))

@@ -107,7 +107,7 @@ def add_sample(
     e, sigma = row[0], row[1]
     P = len(grid.left)
     at, w = np.empty((4, P + 1)), np.empty(P + 1)
-    x, s = at[0], at[1]
+    x, s, told = at[0], at[1], seen / (seen + 1.0)
     for r in range(S.shape[0]):
         if np.isnan(e[r, 0]) or np.isnan(sigma[r, 0]):  # the log as it is cannot be compared
             continue
@@ -115,7 +115,7 @@ def add_sample(
             interpolate(y[r], grid.left, grid.right, grid.share, at[k])
             at[k, P] = y[r, 0]
         for p in range(P):
-            mean = short[r, B1, p] / max(short[r, A11, p], 1e-300) * seen / (seen + 1.0)
+            mean = short[r, B1, p] / max(short[r, A11, p], 1e-300) * told
             x[p] = tame(x[p], clip * s[p], mean)
         precisions(x, s, weights[r], w)
         add_points(S[r], w, x, at[2], at[3], shapes[r, 0], shapes[r, 1], weights[r])

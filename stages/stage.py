@@ -133,10 +133,13 @@ def cut(log: Log, block_s: float) -> Iterator[Log]:
 
 def concat(blocks: Sequence[Log]) -> Log:
     """One log from consecutive blocks of it."""
-    groups = {
-        k: replace(g, frame=pl.concat([b.groups[k].frame for b in blocks], how="vertical_relaxed"))
-        for k, g in blocks[0].groups.items()
-    }
+    groups = {}
+    for name, first in blocks[0].groups.items():
+        parts = [b.groups[name] for b in blocks if b.groups[name].frame.height] or [first]
+        if len(parts) > 1:
+            frame = pl.concat([g.frame for g in parts], how="vertical_relaxed")
+            parts = [replace(first, frame=frame)]
+        groups[name] = parts[0]
     return replace(blocks[0], groups=groups)
 
 
