@@ -23,7 +23,7 @@ from stages.residuals import MODEL_SD, RESIDUAL, SIGMA, UNFAMILIAR
 from stages.stage import RowWise
 
 Array = NDArray[np.float64]
-THETA, ELAPSED = "theta", "elapsed"
+THETA, ELAPSED, OFFSET = "theta", "elapsed", "offset."
 Evaluated = tuple[Array, Array, Array, Array]
 CHUNK = 1 << 17  # rows times hypotheses computed at once: bounds memory
 
@@ -35,7 +35,9 @@ class Hypothesis:
 
     ``sizes``: the grid of sizes to try, in ``unit`` (``"1"``, ``"mm"``, ``"%"``); ``signal``: the sensor
     concerned, if one; ``from_zero``: size 0 is being healthy, which is not so for a stuck valve; ``inexact``:
-    the part of what undoing changes in a residual that may be wrong (standard deviation).
+    the part of what undoing changes in a residual that may be wrong (standard deviation); ``blur``: the part
+    that may be wrong in a regime alone, a formula of a sample's columns and of ``offset.<r>``, the standard
+    deviation of a residual's offset.
 
     Raises:
         RecipeError: no correction or no sizes, sizes that do not rise or hold 0 though that is healthy, or a
@@ -48,6 +50,7 @@ class Hypothesis:
     signal: str | None = None
     from_zero: bool = True
     inexact: float = 0.0
+    blur: str = "0"
 
     def __post_init__(self) -> None:
         s = self.sizes
@@ -57,14 +60,21 @@ class Hypothesis:
                 f"got undo = {dict(self.undo)}, sizes = {list(s)}"
             )
         assert self.formulas is not None
+        assert self.blurred is not None
 
     @cached_property
     def formulas(self) -> dict[str, Formula]:
         return {name: Formula(text) for name, text in self.undo.items()}
 
+    @cached_property
+    def blurred(self) -> Formula:
+        return Formula(self.blur)
+
     @property
     def needs(self) -> set[str]:
-        return {*self.undo}.union(*(f.names for f in self.formulas.values())) - {THETA, ELAPSED}
+        formulas = [*self.formulas.values(), self.blurred]
+        names = {*self.undo}.union(*(f.names for f in formulas))
+        return {n for n in names if n not in (THETA, ELAPSED) and not n.startswith(OFFSET)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,6 +117,11 @@ class Points:
             learned = concerned.intersection(*(stage.models for _, stage in stages))
             sizes.append(h.sizes if learned or not concerned else ())
         return sizes
+
+    def place(self, fault: int) -> slice:
+        """The points of a hypothesis."""
+        start = 1 + sum(map(len, self.sizes[:fault]))
+        return slice(start, start + len(self.sizes[fault]))
 
     @cached_property
     def needs(self) -> set[str]:

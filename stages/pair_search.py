@@ -9,15 +9,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stages.additive import Additive
-from stages.hypotheses import ELAPSED, Evaluated, Points
+from stages.hypotheses import ELAPSED, OFFSET, Evaluated, Points
 from stages.likelihood import log_likelihoods, peak
 from stages.pooled import Blend, as_computed, pooled
-from stages.relations import familiarity
+from stages.relations import REGIME, familiarity
 from stages.residuals import MODEL_SD, RESIDUAL, SIGMA, UNFAMILIAR
 from stages.size_grid import Grid
 
@@ -60,18 +61,49 @@ class Window:
         """As :meth:`stages.hypotheses.Points.evaluated`."""
         return self.points.evaluated(self.base)
 
-    def likelihood(self, e: Array, sigma: Array, doubt: Array, blend: Blend | None = None) -> Array:
-        """L of each point of ``blend``, of all computed ones by default, shape (points,), from (rows,
-        residuals, computed points)."""
-        e, sigma, doubt = (np.ascontiguousarray(x) for x in (e, sigma, doubt))
-        blend = blend or as_computed(e.shape[2])
-        S = pooled((e, sigma, np.log(sigma), doubt), blend, self.shapes, self.weight, self.clip)
+    @cached_property
+    def split(self) -> tuple[Array, Array, Array, Array]:
+        """Of the computed points e, the spread of independent noise, the doubt that samples of a regime share
+        and what all samples share of what a hypothesis may be wrong by; each (rows, residuals, points)."""
+        e, sigma, doubt, _ = self.computed
+        moved, wrong, blur = np.nan_to_num(e - e[:, :, :1]), np.zeros_like(e), np.zeros_like(e)
+        for k, h in enumerate(self.points.hypotheses):
+            place = self.points.place(k)
+            wrong[:, :, place] = h.inexact * moved[:, :, place]
+            if h.blurred.names:
+                blur[:, :, place] = self._blur(k, self.base) * moved[:, :, place]
+        model = np.maximum(doubt**2 - wrong**2, 0.0)
+        return e, np.sqrt(sigma**2 - model), np.sqrt(model + blur**2), wrong
+
+    def _blur(self, k: int, found: dict[str, Array]) -> Array:
+        """Shape (rows, 1, sizes or 1), from what has been ``found`` (sizes or 1, rows)."""
+        offsets = {OFFSET + r: self.sd[i, 0] for i, r in enumerate(self.points.residuals)}
+        x = np.atleast_2d(self.points.hypotheses[k].blurred({**found, **offsets}))
+        return np.broadcast_to(x, (len(x), len(self.weight))).T[:, None, :]
+
+    @cached_property
+    def regimes(self) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
+        """The rows in order of their regime in the log as it is, and where each regime starts, and the
+        end."""
+        regime = self.base[REGIME][0]
+        order = np.argsort(regime, kind="stable")
+        return order, np.flatnonzero(np.diff(regime[order], prepend=-np.inf, append=np.inf)).astype(np.int64)
+
+    def likelihood(
+        self, e: Array, noise: Array, doubt: Array, wrong: Array, blend: Blend | None = None
+    ) -> Array:
+        """L of each point of ``blend``, of all computed ones by default, shape (points,), from what is in
+        :attr:`split`, (rows, residuals, computed points)."""
+        order, starts = self.regimes
+        e, noise, doubt, wrong = (x[order] for x in (e, noise, doubt, wrong))
+        blend, shapes, weight = blend or as_computed(e.shape[2]), self.shapes[order], self.weight[order]
+        S = pooled((e, noise, np.log(noise), doubt, wrong), blend, shapes, weight, self.clip, starts)
         return np.asarray(log_likelihoods(S, self.sd, self.sd))
 
     @cached_property
     def on_grid(self) -> Array:
         """L at all points of the refined grid."""
-        return self.likelihood(*self.computed[:3], Blend(*self.grid[:3]))
+        return self.likelihood(*self.split, Blend(*self.grid[:3]))
 
     @cached_property
     def plain(self) -> float:
@@ -100,8 +132,8 @@ class Window:
 
     def unknown(self, sd: Array) -> float:
         """L of the log as it is with offsets of ``sd`` (residuals, 2), spikes and all."""
-        e, sigma, doubt = (x[:, :, :1] for x in self.computed[:3])
-        return float(replace(self, sd=sd, clip=np.inf).likelihood(e, sigma, doubt)[0])
+        e, noise, doubt, wrong = (x[:, :, :1] for x in self.split)
+        return float(self._but(sd=sd, clip=np.inf).likelihood(e, noise, doubt, wrong)[0])
 
     @cached_property
     def alone(self) -> float:
@@ -118,9 +150,18 @@ class Window:
         values = {c: x[rows] for c, x in self.values.items()}
         part = replace(self, values=values, shapes=self.shapes[rows].copy(), weight=times * self.weight[rows])
         if "computed" in vars(self):
-            vars(part)["computed"] = tuple(x[rows] for x in self.computed)
+            vars(part)["computed"], vars(part)["split"] = (
+                tuple(x[rows] for x in known) for known in (self.computed, self.split)
+            )
             vars(part)["base"] = {c: x[:, rows] for c, x in self.base.items()}
         return part
+
+    def _but(self, **changes: Any) -> Window:
+        """The same samples and hypotheses, judged otherwise."""
+        other = replace(self, **changes)
+        same = ("base", "computed", "split", "regimes")
+        vars(other).update({k: x for k, x in vars(self).items() if k in same})
+        return other
 
     def thinned(self, rows: int) -> Window:
         """About ``rows`` of the samples, evenly, that weigh as much as all."""
@@ -131,9 +172,7 @@ class Window:
         """The same samples by a share ``known`` (rows, residuals) of their weight."""
         if (known == 1.0).all():
             return self
-        other = replace(self, weight=self.weight * known)
-        vars(other).update({k: x for k, x in vars(self).items() if k in ("base", "computed")})
-        return other
+        return self._but(weight=self.weight * known)
 
     def supposing(self, points: Points, grid: Grid) -> Window:
         """The same samples with other hypotheses."""
@@ -173,10 +212,23 @@ class Window:
     def both(self, i: int, j: int, sizes: Array) -> Array:
         """L with hypotheses ``i`` and ``j`` undone one after the other, ``sizes`` (K, 2); shape (K,)."""
         found = self._undone(i, j, sizes)
-        e, sigma, doubt = (self._stacked(found, kind, len(sizes)) for kind in (RESIDUAL, SIGMA, MODEL_SD))
+        e, sigma, model = (self._stacked(found, kind, len(sizes)) for kind in (RESIDUAL, SIGMA, MODEL_SD))
         inexact = max(self.points.hypotheses[k].inexact for k in (i, j))
-        plain = self._stacked(self.base, RESIDUAL, 1)
-        return self.likelihood(e, sigma, np.sqrt(doubt**2 + (inexact * (e - plain)) ** 2))
+        wrong = inexact * (e - self._stacked(self.base, RESIDUAL, 1))
+        doubt = model**2
+        for k, x in zip((i, j), sizes.T, strict=True):
+            if self.points.hypotheses[k].blurred.names:
+                doubt = doubt + (self._blur(k, found) * self._moved(k, x)) ** 2
+        return self.likelihood(e, np.sqrt(sigma**2 - model**2), np.sqrt(doubt), wrong)
+
+    def _moved(self, k: int, sizes: Array) -> Array:
+        """About what undoing a hypothesis alone changes, (rows, residuals, sizes)."""
+        place, h = self.points.place(k), self.points.hypotheses[k]
+        known, e = np.array(h.sizes), self.computed[0]
+        right = np.clip(np.searchsorted(known, sizes), 1, len(known) - 1)
+        share = (sizes - known[right - 1]) / (known[right] - known[right - 1])
+        moved = np.nan_to_num(e[:, :, place] - e[:, :, :1])
+        return np.asarray((1 - share) * moved[:, :, right - 1] + share * moved[:, :, right])
 
     def start(self, i: int, j: int, first: Sequence[float], second: Sequence[float]) -> tuple[float, float]:
         """The likeliest sizes of two hypotheses among ``first`` and ``second``."""

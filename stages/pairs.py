@@ -7,16 +7,16 @@ After the stage `isolate`, on at most ``rows`` of an alarm's usable samples, eve
 log-likelihood L (:mod:`stages.likelihood`) find both sizes. With d the standard deviation of a size, C the
 covariance of the two, and f* the best single fault,
 
-    evidence_fg = evidence_f* + L_fg + ln(2 pi |C|^1/2 / ranges) - max(L_f* + least, L_h),
+    evidence_fg = evidence_f* + L_fg + ln(2 pi |C|^1/2 / ranges) - max(L_f* + penalty, L_h),
     L_f* = max_f [L_f + ln(sqrt(2 pi) d / range)],
 
-where least is ``penalty`` and ``least_share`` of what f* explains of the log as it is, and L_h that of the
-best single fault whose size changes once within the samples: one fault that grows or ends is not two. Nor are
-two of three faults ``alike`` that say no more than the third. The probabilities are those of the stage
-before, with the pairs among the suppositions. Where much is explained, errors of the relations explain more,
-too, and those of what f* does, an ``inexact`` part of it: all evidence then counts
+where L_h is that of the best single fault whose size changes once within the samples: one fault that grows or
+ends is not two. Nor are two of three faults ``alike`` that say no more than the third. What the relations are
+in doubt of is shared by the samples of a regime here, not by all: else a second fault explains what only
+differs between regimes. The probabilities are those of the stage before, with the pairs among the
+suppositions. Where much is explained, errors of the relations explain more, too: all evidence then counts
 
-    1 / (1 + model_error gain + min(inexact^2 evidence_f*, UNSURE)),
+    1 / (1 + model_error gain),
 
 with the gain of the best pair. Two faults at once are a requirement of section 1.1.
 """
@@ -46,7 +46,6 @@ Array = NDArray[np.float64]
 FIRST, GROWTH = 20, 2.5  # samples of an alarm before pairs are looked at, and after which factor again
 FEW, SOME = 50, 100  # samples to find two sizes by, and whether there are two
 MIRRORED = 0.3  # of its size
-UNSURE = 5.0  # at most: large faults are not the least sure
 STANDS_FOR = "stands_for"  # s
 NOTHING = Pair(-np.inf, -np.inf, 0.0, (np.nan, np.nan), (np.nan, np.nan))
 
@@ -67,22 +66,20 @@ class PairsState:
 
 @dataclass(frozen=True, kw_only=True)
 class Pairs:
-    """``faults``: those that can occur together, none for all of the stage before; ``penalty``,
-    ``least_share``: how much likelier than a single fault a pair must be (natural logarithm), and which part
-    of what that explains; ``model_error``: the part of a pair's evidence over a single fault by which
-    evidence may be wrong; ``alike``: faults any two of which look the same, so that their pairs share their
-    probability; ``rows``: samples to look at, at most; ``also``: rarer faults by the sensor that can have
-    them (:mod:`stages.rarer`), with ``also_penalty``.
+    """``faults``: those that can occur together, none for all of the stage before; ``penalty``: how much
+    likelier than a single fault a pair must be (natural logarithm); ``model_error``: the part of a pair's
+    evidence over a single fault by which evidence may be wrong; ``alike``: faults any two of which look the
+    same, so that their pairs share their probability; ``rows``: samples to look at, at most; ``also``: rarer
+    faults by the sensor that can have them (:mod:`stages.rarer`), with ``also_penalty``.
 
     Raises:
         RecipeError: the stage before is not `isolate`, or has no such fault.
     """
 
-    version: ClassVar[str] = "11"
+    version: ClassVar[str] = "12"
     faults: tuple[str, ...] = ()
     penalty: float = 10.0
-    least_share: float = 0.0007
-    model_error: float = 0.03
+    model_error: float = 0.01
     alike: tuple[tuple[str, ...], ...] = ()
     rows: int = 400
     also: Also = field(default_factory=dict)
@@ -188,13 +185,8 @@ class Pairs:
         """The pairs and the rarer faults that are more evident than one usual fault."""
         some, rare = window.thinned(SOME), dict[str, Alone]()
         if self.rarer:
-            penalty = self.also_penalty + self._least(some) - self.penalty
-            rare = self.rarer.compared(some, self.isolate, penalty)
+            rare = self.rarer.compared(some, self.isolate, self.also_penalty)
         return self._search(window, some, before), rare
-
-    def _least(self, window: Window) -> float:
-        """How much likelier than one fault two must be."""
-        return self.penalty + self.least_share * window.explained
 
     def _search(self, window: Window, some: Window, before: Mapping[str, Pair]) -> dict[str, Pair]:
         """The pairs that say more than any single fault, their sizes refined; ``height`` is by how much;
@@ -210,7 +202,7 @@ class Pairs:
         }
         most = max((gain for gain, _ in about.values()), default=0.0)
         near = any(pair.height > -self.penalty for pair in before.values())
-        if not near and most < 0.5 * (self.penalty + self._least(some)):
+        if not near and most < self.penalty:
             return {}
         sizes = {f: [*isolate.hypotheses[f].sizes[::3], few.singles[k][0]] for f, k in place.items()}
         at: dict[str, tuple[int, int, Pair]] = {}
@@ -228,7 +220,7 @@ class Pairs:
         if not at:
             return {}
         familiar = window.familiar(list(at.values()), isolate.known_to)
-        best = max(familiar.most + self._least(familiar), familiar.alone)
+        best = max(familiar.most + self.penalty, familiar.alone)
         unknown = familiar.unknown(isolate.wide_sd) - isolate.unknown_penalty + best - familiar.most
         found = {}
         for pair, (i, j, x) in at.items():
@@ -283,10 +275,7 @@ class Pairs:
         on = values[DETECTION] > 0
         x = np.array([*evidence.values()])
         gain = np.maximum(x[len(singles) :].max(axis=0) - best, 0.0)
-        inexact = np.array([h.inexact for h in self.isolate.hypotheses.values()])
-        unsure = inexact[x[: len(inexact)].argmax(axis=0)] ** 2 * np.maximum(best, 0.0)
-        unsure = np.minimum(unsure, UNSURE)
-        x *= temper / (1.0 + self.model_error * gain + unsure)
+        x *= temper / (1.0 + self.model_error * gain)
         odds = np.where(on, np.exp(x - x.max(axis=0)), 0.0)
         p = odds / np.maximum(odds.sum(axis=0), 1e-300)
         for group in self.alike:

@@ -42,7 +42,13 @@ def test_one_fault_alone_is_as_likely_as_its_own_sums_say() -> None:
     row, shapes, weight = drive(0.04, 0.0)
     e, sigma, doubt = row
     found = Additive.of(GRID, SD, (e, sigma, doubt), shapes, weight, near=3, clip=np.inf)
-    L = log_likelihoods(pooled((e, sigma, 0 * e, doubt), as_computed(9), shapes, weight, np.inf), SD, SD)
+    L = log_likelihoods(
+        pooled(
+            (e, sigma, 0 * e, 0 * e, doubt), as_computed(9), shapes, weight, np.inf, np.array([0, len(e)])
+        ),
+        SD,
+        SD,
+    )
     for f in (0, 1):
         _, points = found.fault(f)
         computed = GRID.share[points] == 0
