@@ -6,7 +6,7 @@ import hashlib
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor
 from contextlib import contextmanager
 from dataclasses import replace
 from difflib import get_close_matches
@@ -23,6 +23,7 @@ from ingest.maps import NameMap, load_map
 from ingest.readers import FORMATS, Reader, Recording, Streamer, reader
 from ingest.recording import recording
 from ingest.remote import fetch, file_name, listing
+from ingest.threads import threads
 
 _SUFFIXES = tuple(s for known in FORMATS.values() for s in known)
 
@@ -39,7 +40,7 @@ def read_log(path: str | Path, map: NameMap | str | Path | None = None, *, conte
         UnitError: a canonical signal is in a unit that cannot be converted.
     """
     path, names = _local(path), _names(map)
-    with _readable(path), ThreadPoolExecutor(1) as pool:
+    with _readable(path), threads(1) as pool:
         name, module = _format(path)
         digest = _digest(pool, path, module, content)
         found = _with_source(module.read(path, names), path, name, digest)
@@ -61,7 +62,7 @@ def read_blocks(
         LogError, MapError, UnitError: as :func:`read_log`.
     """
     path, names = _local(path), _names(map)
-    with _readable(path), ThreadPoolExecutor(1) as pool:
+    with _readable(path), threads(1) as pool:
         name, module = _format(path)
         digest = _digest(pool, path, module, content)
         parts = (
@@ -173,7 +174,7 @@ def _names(map: NameMap | str | Path | None) -> NameMap:
     return map if isinstance(map, NameMap) else NameMap() if map is None else load_map(map)
 
 
-def _digest(pool: ThreadPoolExecutor, path: Path, module: Reader, content: str | None) -> Callable[[], str]:
+def _digest(pool: Executor, path: Path, module: Reader, content: str | None) -> Callable[[], str]:
     """The file's digest, if it is not known made while it is read; where it may be one of ours, only when it
     is asked for."""
     if content is not None:

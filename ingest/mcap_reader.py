@@ -12,7 +12,7 @@ import threading
 import zlib
 from collections import deque
 from collections.abc import Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from dataclasses import dataclass, field
 from io import BytesIO
 from itertools import islice
@@ -26,6 +26,8 @@ from mcap.records import Channel, Chunk, ChunkIndex, Metadata, MetadataIndex, Sc
 from mcap.stream_reader import get_chunk_data_stream
 from mcap.writer import MCAP0_MAGIC
 from zstandard import ZstdDecompressor, ZstdError, frame_content_size
+
+from ingest.threads import threads
 
 _FOOTER = struct.Struct("<BQQQI")
 _RECORD = struct.Struct("<BQ")
@@ -73,7 +75,7 @@ def open_mcap(path: Path) -> McapFile:
 
 def chunks(file: McapFile) -> Iterator[memoryview]:
     """The records of each chunk, unpacked and checked; damaged ones are left out and noted as problems."""
-    with ThreadPoolExecutor(2) as pool:  # unpacking runs outside the interpreter
+    with threads(2) as pool:  # unpacking runs outside the interpreter
         ahead: deque[tuple[int, Future[memoryview]]] = deque()
         spans = iter(file.spans)
         while True:

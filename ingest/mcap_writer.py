@@ -10,7 +10,7 @@ import struct
 import zlib
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from dataclasses import dataclass, field
 from typing import IO
 
@@ -36,6 +36,8 @@ from mcap.records import (
 )
 from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
+
+from ingest.threads import threads
 
 _MEDIA_TYPES = {"json": "application/json", "toml": "application/toml"}
 
@@ -95,7 +97,7 @@ class McapWriter:
     def add(self, batches: Iterable[Batch]) -> None:
         """Writes each batch as one chunk with its message index; two are packed at a time."""
         pending: deque[tuple[Batch, int, Future[Chunk]]] = deque()
-        with ThreadPoolExecutor(2) as pool:  # packing is most of the work, and runs outside the interpreter
+        with threads(2) as pool:  # packing is most of the work, and runs outside the interpreter
             for batch in batches:
                 pending.append((batch, len(self.first), pool.submit(_pack, batch, self.first)))
                 self.first = b""

@@ -21,6 +21,7 @@ from queue import SimpleQueue
 from typing import Any, ParamSpec, Protocol, TypeVar
 
 from ingest.errors import DynoscopeError
+from ingest.threads import Inline
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -43,22 +44,10 @@ class Engine(Protocol):
         """Drop what waits and stop what runs; whatever is written appears whole or not at all."""
 
 
-class Serial(Executor):
-    """Everything in this process, one after the other.
-
-    >>> Serial().submit(max, 1, 2).result()
-    2
-    """
+class Serial(Inline):
+    """Everything in this process, one after the other."""
 
     window = 1
-
-    def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
-        future: Future[T] = Future()
-        try:
-            future.set_result(fn(*args, **kwargs))
-        except Exception as error:
-            future.set_exception(error)
-        return future
 
     def abandon(self) -> None:
         """Nothing runs between two submits."""
