@@ -14,9 +14,10 @@ where L_h is that of the best single fault whose size changes once within the sa
 ends is not two. Nor are two of three faults ``alike`` that say no more than the third. What the relations are
 in doubt of is shared by the samples of a regime here, not by all: else a second fault explains what only
 differs between regimes. The probabilities are those of the stage before, with the pairs among the
-suppositions. Where much is explained, errors of the relations explain more, too: all evidence then counts
+suppositions. Where much is explained, errors of the relations explain more, too, and those of what f* does,
+an ``inexact`` part of it: all evidence then counts
 
-    1 / (1 + model_error gain),
+    1 / (1 + model_error gain + min(inexact^2 evidence_f*, UNSURE)),
 
 with the gain of the best pair. Two faults at once are a requirement of section 1.1.
 """
@@ -46,6 +47,7 @@ Array = NDArray[np.float64]
 FIRST, GROWTH = 20, 2.5  # samples of an alarm before pairs are looked at, and after which factor again
 FEW, SOME = 50, 100  # samples to find two sizes by, and whether there are two
 MIRRORED = 0.3  # of its size
+UNSURE = 2.0  # at most: large faults are not the least sure
 STANDS_FOR = "stands_for"  # s
 NOTHING = Pair(-np.inf, -np.inf, 0.0, (np.nan, np.nan), (np.nan, np.nan))
 
@@ -79,7 +81,7 @@ class Pairs:
     version: ClassVar[str] = "12"
     faults: tuple[str, ...] = ()
     penalty: float = 10.0
-    model_error: float = 0.01
+    model_error: float = 0.03
     alike: tuple[tuple[str, ...], ...] = ()
     rows: int = 400
     also: Also = field(default_factory=dict)
@@ -275,7 +277,9 @@ class Pairs:
         on = values[DETECTION] > 0
         x = np.array([*evidence.values()])
         gain = np.maximum(x[len(singles) :].max(axis=0) - best, 0.0)
-        x *= temper / (1.0 + self.model_error * gain)
+        inexact = np.array([h.inexact for h in self.isolate.hypotheses.values()])
+        unsure = np.clip(inexact[x[: len(inexact)].argmax(axis=0)] ** 2 * best, 0.0, UNSURE)
+        x *= temper / (1.0 + self.model_error * gain + unsure)
         odds = np.where(on, np.exp(x - x.max(axis=0)), 0.0)
         p = odds / np.maximum(odds.sum(axis=0), 1e-300)
         for group in self.alike:

@@ -138,7 +138,21 @@ def test_the_more_two_faults_explain_the_less_sure_is_a_small_difference(fitted:
     out = pairs._columns(values, found, {row: {} for row in range(4)})
     p = out["p.flow_gain+leak"]
     assert (np.diff(p) > 0).all()
-    assert p[0] < 0.02 < 0.3 < p[-1] < out["p.leak+pressure_gain"][-1]
+    assert p[0] < 0.06 < 0.3 < p[-1] < out["p.leak+pressure_gain"][-1]
+
+
+def test_the_more_there_is_to_explain_the_less_sure_is_a_small_difference(fitted: list[Stage]) -> None:
+    pairs, behind = fitted[-1], Pair(-10.0, -np.inf, 0.0, (0.05, 0.05), (0.01, 0.01))
+    assert isinstance(pairs, Pairs)
+    rough = {f: replace(h, inexact=0.03) for f, h in HYPOTHESES.items()}
+    pairs = pairs.connect([*pairs.before[:-1], replace(pairs.isolate, hypotheses=rough)])
+    best = np.array([0.0, 1e2, 1e3, 1e4])
+    values = {"detection": np.ones(4), "evidence.flow_gain": best}
+    values |= {"evidence." + f: best - 50 * (1 + best / 10) for f in ("pressure_gain", "leak", "unknown")}
+    found = pairs._columns(values, {0: {"leak+pressure_gain": behind}}, {0: {}})
+    p = found["p.leak+pressure_gain"]
+    assert (np.diff(p) > 0).all()
+    assert p[0] < 0.01 < 0.1 < p[-1] < found["p.flow_gain"][-1]
 
 
 def test_mistakes() -> None:
