@@ -83,8 +83,8 @@ def library(bases: int, seed: int) -> tuple[Observer, Sworn, Changes]:
 
 def sizes(observer: Observer, found: Changes) -> dict[str, float]:
     """How large each full wear is in its own unit: what fits best to its change of the residuals, by the
-    observer's weights. At small flows the pressure loss grows less than at large ones, so it is not one
-    number."""
+    observer's weights in the end. At small flows the pressure loss grows less than at large ones, so it is
+    not one number."""
     healthy, unit, _ = found["healthy"]
     spread = spread_of(vehicle(found, {}, np.random.default_rng(0))[0], np.arange(BEGIN))
     out = {}
@@ -92,34 +92,38 @@ def sizes(observer: Observer, found: Changes) -> dict[str, float]:
         worn, size = found[name][0], wear.per_100
         count = np.where(worn.count > 0, healthy.count, 0.0)
         y = np.where(count > 0, worn.mean - healthy.mean, 0.0)
-        gained = known = 0.0
-        for k in range(len(healthy)):
-            wrong = Settings().memory * (wear.inexact * size * unit[k, j]) ** 2
-            V, S = inverse(count[k], healthy.noise, spread, wrong, 1.0), unit[k, j].ravel()
-            gained, known = gained + S @ V @ y[k].ravel(), known + S @ V @ S
-        out[name] = float(gained / known)
+        for _ in range(6):  # the weights go with the size
+            gained = known = 0.0
+            for k in range(len(healthy)):
+                wrong = Settings().memory * (wear.inexact * ramp(100)[-1] * size * unit[k, j]) ** 2
+                V, S = inverse(count[k], healthy.noise, spread, wrong, 1.0), unit[k, j].ravel()
+                gained, known = gained + S @ V @ y[k].ravel(), known + S @ V @ S
+            size = float(gained / known)
+        out[name] = size
     return out
 
 
 def vehicle(
     found: Changes, growth: dict[str, Array], rng: np.random.Generator
 ) -> tuple[Drives, Array, Array]:
-    """A vehicle's drives; ``growth`` (drives,) of each change, in full sizes."""
+    """A vehicle's drives; ``growth`` (drives,) of each change, in full sizes. Regions that a changed drive
+    does not visit count nothing while there is some of that change."""
     healthy, wear, silent = found["healthy"]
     pick = rng.integers(len(healthy), size=DRIVES)
     drives, shift, left = healthy.but(pick), wear[pick], silent[pick]
-    mean = drives.mean.copy()
+    mean, count = drives.mean.copy(), drives.count.copy()
     for name, share in growth.items():
         full, _, said = found[name]
         left = left + share * (said[pick] - silent[pick])
         both = (full.count[pick] > 0) & (drives.count > 0)
         mean += share[:, None, None] * np.where(both, full.mean[pick] - drives.mean, 0.0)
+        count[(share > 0)[:, None, None] & ~both] = 0.0
     gain, level, scale = rng.normal(size=(3, DRIVES)) * np.array([0.003, 0.03, 0.01])[:, None]
     maf = found["maf +5 %"][0]
     both = (maf.count[pick] > 0) & (drives.count > 0)
     mean += (gain / 0.05)[:, None, None] * np.where(both, maf.mean[pick] - drives.mean, 0.0)
     mean[:, 1] += level[:, None] + scale[:, None] * shift[:, 1, 1]
-    return replace(drives, mean=mean), shift, left
+    return replace(drives, mean=mean, count=count), shift, left
 
 
 def ramp(over: int) -> Array:
@@ -212,7 +216,7 @@ class Told:
 def followed(observer: Observer, drives: Drives, shift: Array) -> list[Seen]:
     """A vehicle's drives after its commissioning."""
     every = np.arange(DRIVES)
-    state = commission(drives.but(every[:BEGIN]), observer.wears)
+    state = commission(drives.but(every[:BEGIN]), shift[:BEGIN], observer.wears)
     return follow(state, drives.but(every[BEGIN:]), shift[BEGIN:], observer.wears, Settings())[1]
 
 

@@ -124,7 +124,7 @@ def adapt(
         progress(log.name)
     drives, shift = observer.drives(blocks)
     every = np.arange(len(logs))
-    state = commission(drives.but(every[:commissioning]), observer.wears)
+    state = commission(drives.but(every[:commissioning]), shift[:commissioning], observer.wears)
     later = drives.but(every[commissioning:])
     settings = settings or Settings()
     _, seen = follow(state, later, shift[commissioning:], observer.wears, settings)

@@ -17,11 +17,17 @@ are remembered.
 
 Two drives in a row with T above ``threshold`` are an alarm; the fault is the best one, the set all within
 ``near`` of it. Without an alarm, faults that explain the drives as well as the wear does are named beside it:
-which of them it is cannot be known. The wear itself is followed by a Kalman filter (levels and rates, fed
-with the drives' own G and h, and kept within the bounds), which is the adaptive part: reference + S_w x. It
-rests while T is above ``threshold``, and goes on after three drives below half of that; it never stops for
-good. Nor is a drive learned from that has such evidence by itself, beside the wear that the drives before it
-show: a memory of many drives dilutes what begins in one.
+which of them it is cannot be known.
+
+The wear itself is followed by a Kalman filter, which is the adaptive part: reference + S_w x. Its state are
+levels x, kept within the bounds, their rates, and what the reference is off by, as a mean of few drives,
+
+    r - c = S_w (x - o) + noise,   o ~ N(0, G_c^-1),
+
+with G_c the sum over the commissioning's own drives; x grows from zero and o does not. It is fed with the
+drives' own G and h, rests while T is above ``threshold``, and goes on after three drives below half of that;
+it never stops for good. Nor is a drive learned from that has such evidence by itself, beside the wear that
+the drives before it show: a memory of many drives dilutes what begins in one.
 
 A region (or its surroundings beyond the trained domain) that the commissioning has not seen joins the
 reference once it has 18 independent samples, from drives with T below half the threshold only.
@@ -87,8 +93,9 @@ class Reference:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class State:
-    """Sums G and h over wears and faults; levels and rates of the wears, with their covariance; drives since
-    the commissioning, drives above the threshold and well below it; samples of regions that grow."""
+    """Sums G and h over wears and faults; levels and rates of the wears, what the reference is off by in
+    wear, and the covariance of these; drives since the commissioning, drives above the threshold and well
+    below it; samples of regions that grow."""
 
     reference: Reference
     G: Array
@@ -116,8 +123,8 @@ class Seen:
     learned: bool
 
 
-def commission(drives: Drives, wears: Sequence[Wear]) -> State:
-    """The state after fault-free commissioning drives."""
+def commission(drives: Drives, wear_shift: Array, wears: Sequence[Wear]) -> State:
+    """The state after fault-free commissioning drives; ``wear_shift`` (drives, wears, residuals, regions)."""
     every = np.arange(len(drives))
     spread = spread_of(drives, every)
     reference = Reference(
@@ -125,11 +132,16 @@ def commission(drives: Drives, wears: Sequence[Wear]) -> State:
         noise=drives.noise,
     )  # fmt: skip
     n, W = drives.shift.shape[1] + len(wears), len(wears)
+    known = np.diag([w.total**-2.0 for w in wears])
+    for count, shift in zip(drives.count, wear_shift, strict=True):
+        S = shift.reshape(W, -1)
+        known += S @ inverse(count, drives.noise, spread, np.zeros_like(count), 1.0) @ S.T
     bound = np.array([w.per_100 / 100 for w in wears])
-    P = np.diag(np.concatenate([np.full(W, 1e-12), (0.5 * bound) ** 2]))
+    P = np.diag(np.concatenate([np.full(W, 1e-12), (0.5 * bound) ** 2, np.zeros(W)]))
+    P[2 * W :, 2 * W :] = np.linalg.inv(known)
     shape = drives.mean.shape[1:]
     return State(
-        reference=reference, G=np.zeros((n, n)), h=np.zeros(n), x=np.zeros(2 * W), P=P,
+        reference=reference, G=np.zeros((n, n)), h=np.zeros(n), x=np.zeros(3 * W), P=P,
         pending=np.zeros(shape), pending_sum=np.zeros(shape),
     )  # fmt: skip
 
@@ -240,17 +252,17 @@ def _filtered(
 ) -> State:
     """Prediction by one drive, and the update with the drive's own G and h, within the bounds."""
     W = len(wears)
-    F = np.eye(2 * W) + np.eye(2 * W, k=W)
+    one, none = np.eye(W), np.zeros((W, W))
+    F = np.block([[one, one, none], [none, one, none], [none, none, one]])
     rate = np.array([w.per_100 / 100 for w in wears])
-    Q = np.diag(np.concatenate([np.full(W, 1e-14), (settings.rate_sd * rate) ** 2]))
+    Q = np.diag(np.concatenate([np.full(W, 1e-14), (settings.rate_sd * rate) ** 2, np.zeros(W)]))
     x, P = F @ state.x, F @ state.P @ F.T + Q
     if update:
-        inflow = np.zeros((2 * W, 2 * W))
-        inflow[:W, :W] = G
-        P = np.asarray(np.linalg.inv(np.linalg.inv(P) + inflow), dtype=float)
-        x = x + P @ (np.append(h, np.zeros(W)) - inflow @ x)
+        H = np.hstack([one, none, -one])
+        P = np.asarray(np.linalg.inv(np.linalg.inv(P) + H.T @ G @ H), dtype=float)
+        x = x + P @ H.T @ (h - G @ H @ x)
     x[:W] = np.clip(x[:W], 0.0, top)
-    x[W:] = np.clip(x[W:], 0.0, settings.slack * rate)
+    x[W : 2 * W] = np.clip(x[W : 2 * W], 0.0, settings.slack * rate)
     return replace(state, x=x, P=0.5 * (P + P.T))
 
 
