@@ -17,10 +17,11 @@ Atkinson and Riani 2000), always by the one (of many a twentieth) with the least
 
     T_k = max_f h^2 / G,   h = S' V^-1 (r - c),   G = S' V^-1 S,
 
-of those with at most ``threshold``; members with more leave it. Only sizes h / G of at least ``TINY`` of the
-reference count, as tolerances are no faults. V includes the variance of c, which for members is that without
-them, and o is that of the members times what trimming has cut off. What is left is suspicious, each with the
-fault that has the most evidence.
+of those with at most half of ``threshold``, as one faulty member widens their spread and lets in the next;
+members with more leave it. Only sizes h / G of at least ``TINY`` of the reference count, as tolerances are
+no faults. V includes the variance of c, which for members is that without them, and o is that of the members
+times what trimming has cut off. What is left is suspicious, each with the fault that has the most evidence,
+if that is above ``threshold``, or half of it where another drive has this fault for sure.
 
 Tolerances hide small faults, a fault in most of the drives is taken for healthy, and nothing can be said of
 fewer than ``LEAST`` drives.
@@ -96,11 +97,13 @@ def suspicious(drives: Drives, threshold: float = THRESHOLD, seed: int = 0) -> l
     for _ in range(2 * N):
         cut_off = _cut_off(len(members) / N, 2 * drives.mean.shape[1])
         found = [_evidence(drives, members[members != k], k, cut_off) for k in range(N)]
-        grown = _grown(members, np.array([gain for _, _, gain in found]), threshold)
+        grown = _grown(members, np.array([gain for _, _, gain in found]), 0.5 * threshold)
         if len(grown) < LEAST or np.array_equal(grown, members):
             break
         members = grown
-    out = [Suspicion(drive=k, fault=f, size=x, T=g) for k, (f, x, g) in enumerate(found) if g > threshold]
+    sure = {f for f, _, gain in found if gain > threshold}
+    least = [threshold if f not in sure else 0.5 * threshold for f, _, _ in found]
+    out = [Suspicion(drive=k, fault=f, size=x, T=g) for k, (f, x, g) in enumerate(found) if g > least[k]]
     return sorted(out, key=lambda s: -s.T)
 
 
