@@ -1,7 +1,7 @@
 """The life of detectors, in figures.
 
-    python -m benchmarks.lifecycle [domain] [poison] [comparison] [speed] [bench] [--seeds N] [--hours H]
-                                   [--folder FOLDER]
+    python -m benchmarks.lifecycle [domain] [poison] [comparison] [speed] [bench] [--seeds N] [--first N]
+                                   [--hours H] [--folder FOLDER]
 
 - domain: trained on UDDS, meets US06, before and after two US06 drives are added
 - poison: sets of 20 drives with 10 % and 30 % faulty ones, sensors with tolerances per drive
@@ -65,14 +65,14 @@ def recipe_with(nodes: int) -> Recipe:
     return build_recipe(recipe.name, definition)
 
 
-def domain(seeds: int) -> None:
+def domain(seeds: int, first: int) -> None:
     print(f"\n{SETS} times trained on 3 UDDS, calibrated on 3 more, tested on US06")
     recipe = load_recipe("diesel_airpath")
     titles = ("UDDS alone", "two US06 added", "the same, warm")
     alarms, inside = {t: [0] * SETS for t in titles}, {t: [0.0] * SETS for t in titles}
     found = {(t, fault): [0, 0] for t in titles for fault in FAULTS}
     for s in range(SETS):
-        base = SEED + 10_000 + 500 * s
+        base = first + 10_000 + 500 * s
         training = [drive("udds", base + i) for i in range(3)]
         calibrate = [drive("udds", base + 10 + i) for i in range(3)]
         added = [drive("us06", base + 20 + i) for i in range(2)]
@@ -98,14 +98,14 @@ def domain(seeds: int) -> None:
             print(f"    {fault[0]:22s}{fault[1]:+6g}  detected {seen}/{n}, named {right}/{n}")
 
 
-def poison(seeds: int) -> None:
+def poison(seeds: int, first: int) -> None:
     print("\nsets of 20 drives, sensors with tolerances per drive (level 2)")
     counts = {"sets": 0, "caught": 0, "exact": 0, "clean named": 0, "clean": 0}
     recipe = load_recipe("diesel_airpath")
     flagged = 0
     logs_found: dict[str, list[int]] = {name: [0, 0] for name, _ in FAULTS}
     for s in range(seeds):
-        base = SEED + 1000 + 20 * s
+        base = first + 1000 + 20 * s
         logs = [drive(CYCLES[i % 5], base + i, tolerance=2) for i in range(20)]
         sides = sections(bound(recipe, common_signals(logs)).stages)
         healthy = [transform(sides[0], log) for log in logs]
@@ -146,12 +146,12 @@ def guarded(sides: Sections, blocks: Sequence[Log]) -> set[int]:
     return {i for i, f in enumerate(found) if f}
 
 
-def comparison(seeds: int) -> None:
+def comparison(seeds: int, first: int) -> None:
     print("\nchampion and challengers on the same held-out drives")
     recipe = load_recipe("diesel_airpath")
     judged = {"better": 0, "worse": 0, "rows": 0}
     for s in range(seeds):
-        base = SEED + 5000 + 100 * s
+        base = first + 5000 + 100 * s
         calibrate = [drive(CYCLES[i % 5], base + i) for i in range(5)]
         held_out = [drive(CYCLES[i % 5], base + 10 + i, duration_s=600) for i in range(6)]
         training = [drive(c, base + 20 + i) for i, c in enumerate(CYCLES[:3])]
@@ -247,13 +247,14 @@ def main() -> None:
     parser.add_argument(
         "--seeds", type=int, default=10, help="drives of a kind, and a twentieth as many sets"
     )
+    parser.add_argument("--first", type=int, default=SEED, help="seed that those of the drives count from")
     parser.add_argument("--hours", type=float, default=100.0)
     parser.add_argument("--folder", type=Path)
     args = parser.parse_args()
     sets = max(1, args.seeds // 20)
     work = {
-        "domain": lambda: domain(args.seeds), "poison": lambda: poison(sets),
-        "comparison": lambda: comparison(sets), "speed": lambda: speed(args.hours),
+        "domain": lambda: domain(args.seeds, args.first), "poison": lambda: poison(sets, args.first),
+        "comparison": lambda: comparison(sets, args.first), "speed": lambda: speed(args.hours),
     }  # fmt: skip
     if args.folder:
         work["bench"] = lambda: bench(args.folder)
