@@ -21,7 +21,8 @@ of those with at most half of ``threshold``, as one faulty member widens their s
 members with more leave it. Only sizes h / G of at least ``TINY`` of the reference count, as tolerances are
 no faults. V includes the variance of c, which for members is that without them, and o is that of the members
 times what trimming has cut off. What is left is suspicious, each with the fault that has the most evidence,
-if that is above ``threshold``, or half of it where another drive has this fault for sure.
+if that is above ``threshold``, or three quarters of it where another drive has this fault for sure: where one
+in ten has it and not one in a hundred, that is as much evidence.
 
 Tolerances hide small faults, a fault in most of the drives is taken for healthy, and nothing can be said of
 fewer than ``LEAST`` drives.
@@ -40,6 +41,7 @@ Array = NDArray[np.float64]
 LEAST = 5
 SHARE, STARTS, STEPS = 0.6, 50, 8
 THRESHOLD, TINY = 20.0, 0.5
+MEMBER, ALIKE = 0.5, 0.75  # of the threshold
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -97,12 +99,12 @@ def suspicious(drives: Drives, threshold: float = THRESHOLD, seed: int = 0) -> l
     for _ in range(2 * N):
         cut_off = _cut_off(len(members) / N, 2 * drives.mean.shape[1])
         found = [_evidence(drives, members[members != k], k, cut_off) for k in range(N)]
-        grown = _grown(members, np.array([gain for _, _, gain in found]), 0.5 * threshold)
+        grown = _grown(members, np.array([gain for _, _, gain in found]), MEMBER * threshold)
         if len(grown) < LEAST or np.array_equal(grown, members):
             break
         members = grown
     sure = {f for f, _, gain in found if gain > threshold}
-    least = [threshold if f not in sure else 0.5 * threshold for f, _, _ in found]
+    least = [threshold if f not in sure else ALIKE * threshold for f, _, _ in found]
     out = [Suspicion(drive=k, fault=f, size=x, T=g) for k, (f, x, g) in enumerate(found) if g > least[k]]
     return sorted(out, key=lambda s: -s.T)
 
