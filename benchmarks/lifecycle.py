@@ -165,7 +165,7 @@ def comparison(seeds: int, first: int) -> None:
         said(f"set {s}, trained on other drives", found)
         if s > 0:
             continue
-        for nodes in (4, 2, 1):
+        for nodes in (4, 3, 2, 1):
             challenger = fit(training, recipe_with(nodes), calibrate)
             said(f"set {s}, {nodes} region(s)", compare_detectors(champion, challenger, held_out))
         bad = [drive(CYCLES[0], base + 30, ("maf_gain", 0.05), 0.0), *others[1:]]

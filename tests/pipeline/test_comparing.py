@@ -71,6 +71,17 @@ def test_a_threshold_out_of_reach_is_worse(detector: Detector, held_out: list[Lo
     assert compare_detectors(deaf, detector, held_out, FAULTS).verdict == "better"
 
 
+@pytest.mark.parametrize(("more", "verdict"), [(1.1, "not worse"), (1.4, "worse")])
+def test_a_loss_of_evidence_shows_before_a_fault_is_missed(
+    detector: Detector, held_out: list[Log], more: float, verdict: str
+) -> None:
+    dull = changed(detector, Isolate, {"threshold": more})
+    found = compare_detectors(detector, dull, held_out, FAULTS)
+    assert rows(found, "log evidence") == [verdict]
+    assert rows(found, "detected") == ["undecided"]  # all of them, by both
+    assert found.verdict == ("worse" if verdict == "worse" else "undecided")
+
+
 def test_a_biased_model_leaves_larger_residuals(detector: Detector, held_out: list[Log]) -> None:
     biased = changed(detector, Relations, {"f_Cyl/theta": 1.05})
     found = compare_detectors(detector, biased, held_out, FAULTS)
