@@ -61,16 +61,15 @@ def test_a_fault_that_hides_in_the_tolerance_is_not_found() -> None:
 
 def test_a_third_with_one_fault_is_not_taken_for_tolerance() -> None:
     """A sensor's gain at 8 standard deviations of its tolerance, in 6 of 20: among all drives it is 2. One
-    of them that is let in, as those of the last three seeds, lets in all."""
-    named = []
-    for seed in (*range(4), 10, 33, 46):
+    of them that is let in, as those of the last three seeds, must not let in the others."""
+    for seed in (*range(8), 10, 33, 46):
         logs = drives(np.random.default_rng(seed), 20, {}, offset=0.006)
         logs.shift[:, 0] = 0.0
         logs.shift[:, 0, 0] = 0.035
         logs.mean[:6] += 1.4 * logs.shift[:6, 0]
-        named.append({s.drive for s in suspicious(logs)})
-    assert sum(found == {*range(6)} for found in named) >= 4
-    assert all(len(found & {*range(6)}) >= 5 for found in named)
+        found = {s.drive for s in suspicious(logs)}
+        assert found <= {*range(6)}
+        assert len(found) >= (6 if seed < 8 else 5)
 
 
 def test_a_tiny_size_is_a_tolerance_however_certain() -> None:
