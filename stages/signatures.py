@@ -136,11 +136,10 @@ class Signatures:
             weight = np.where(known, w / values[SIGMA + r] ** 2, 0.0)
             h, e = np.where(known, h, 0.0), np.where(known, e, 0.0)
             added[:, 0, k], added[:, 1, k] = weight * h * h, weight * h * e
-        sums, total = np.empty_like(added), state.sums
-        for k, on in enumerate(alarm):  # an alarm's sums begin with it
-            total = total + added[k] if on else np.zeros_like(total)
-            sums[k] = total
-        return SignaturesState(float(time[-1]), total), sums
+        quiet = np.maximum.accumulate(np.where(alarm, -1, np.arange(len(time))))  # the last row without alarm
+        total = np.cumsum(added, axis=0)  # an alarm's sums begin with it
+        sums = np.where((quiet >= 0)[:, None, None], total - total[quiet], state.sums + total)
+        return SignaturesState(float(time[-1]), sums[-1]), sums
 
     def _distributed(self, sums: Array) -> dict[str, Array]:
         """By how much each fault's shapes explain less than the best ones, shape (rows,)."""
