@@ -106,11 +106,6 @@ class Window:
         return self.likelihood(*self.split, Blend(*self.grid[:3]))
 
     @cached_property
-    def plain(self) -> float:
-        """L of the log as it is."""
-        return float(self.on_grid[0])
-
-    @cached_property
     def singles(self) -> list[tuple[float, float]]:
         """Of each fault alone, its size and the logarithm of its marginal likelihood."""
         found = []
@@ -124,11 +119,6 @@ class Window:
     def most(self) -> float:
         """The largest of them."""
         return max(height for _, height in self.singles)
-
-    @property
-    def explained(self) -> float:
-        """How much likelier the best fault is than the log as it is."""
-        return max(self.most - self.plain, 0.0)
 
     def unknown(self, sd: Array) -> float:
         """L of the log as it is with offsets of ``sd`` (residuals, 2), spikes and all."""
