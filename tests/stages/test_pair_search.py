@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import log, pi
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -39,8 +41,7 @@ def expected(e: NDArray[np.float64], wrong: float, blur: float) -> float:
     """What all samples share and what those of a regime share, beside the noise."""
     same = REGIME[:, None] == REGIME
     cov = NOISE**2 * np.eye(N) + SD**2 + wrong**2 + (MODEL**2 + blur**2) * same
-    L: float = multivariate_normal(np.zeros(N), cov).logpdf(e)
-    return L + 0.5 * N * np.log(2 * np.pi)
+    return float(multivariate_normal(np.zeros(N), cov).logpdf(e)) + 0.5 * N * log(2 * pi)
 
 
 def test_doubt_and_blur_are_shared_by_a_regime_and_what_may_be_wrong_by_all(window: Window) -> None:
