@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -16,10 +15,9 @@ from ingest.recording import recording
 from ingest.simulators.airpath import Fault, simulate_airpath
 from pipeline import fit, load_recipe
 from pipeline.detector import Detector
-from pipeline.recipe import Recipe, build_recipe, recipe_text
 from pipeline.store import Store
 
-RECIPE, QUICK = "diesel_airpath", "quick"
+RECIPE = "diesel_airpath"
 SIGNALS = (
     "p_Int", "p_Bst", "T_Int", "T_Bst", "W_HFM", "n_Eng", "p_Amb", "T_Amb", "W_Fuel", "p_Exh", "u_Vnt",
     "v_Veh", "lambda", "u_Egr",
@@ -30,20 +28,12 @@ FAULTS: Sequence[tuple[str, float] | None] = (
 )  # fmt: skip
 
 
-def detector(folder: Path, recipe: Recipe | None = None) -> Detector:
+def detector(folder: Path) -> Detector:
     """Fitted on one drive, calibrated on another, kept in ``folder/store``."""
     training, calibration = (simulate_airpath(cycle="wltc_3b", seed=seed, name=f"s{seed}") for seed in (1, 2))
-    found = fit([training], recipe or load_recipe(RECIPE), [calibration])
+    found = fit([training], load_recipe(RECIPE), [calibration])
     Store(folder / "store").add(found)
     return found
-
-
-def without_isolation() -> Recipe:
-    """The recipe with an alarm on residuals in the end: quick, and all that depends on a log's length."""
-    data = tomllib.loads(recipe_text(RECIPE))
-    stages = [stage for stage in data["stage"] if stage["use"] not in ("isolate", "pairs")]
-    detect = {"use": "detect", "min_threshold": 1e6}
-    return build_recipe(QUICK, {k: v for k, v in data.items() if k != "stage"} | {"stage": [*stages, detect]})
 
 
 def drive(seed: int, seconds: float) -> Log:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterator
 from contextlib import contextmanager
+from copy import copy
 from functools import cached_property
 from itertools import accumulate
 from pathlib import Path
@@ -19,7 +20,7 @@ from ingest.log import TIME
 from ingest.readers.parquet import frame_of
 from stages.results import DETECTION
 
-ROWS = 1 << 16  # of a row group
+BYTES = 1 << 23  # of a row group in memory, about
 DRAWN = 20_000  # rows that are drawn of a log of any length
 
 
@@ -29,10 +30,13 @@ class Stored:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.file = pq.ParquetFile(path)
+        self.columns: list[str] = self.file.schema_arrow.names
 
-    @cached_property
-    def columns(self) -> list[str]:
-        return list(self.file.schema_arrow.names)
+    def select(self, columns: list[str], /) -> Stored:
+        """The same rows of these columns."""
+        other = copy(self)
+        other.columns = columns
+        return other
 
     @property
     def height(self) -> int:
@@ -54,7 +58,8 @@ class Stored:
         ends = list(accumulate(counts))
         wanted = range(bisect_right(ends, offset), bisect_left(ends, end) + 1) if offset < end else range(0)
         before = ends[wanted[0] - 1] if wanted and wanted[0] else 0
-        return frame_of(self.file.read_row_groups(list(wanted))).slice(offset - before, end - offset)
+        read = frame_of(self.file.read_row_groups(list(wanted), self.columns)).select(self.columns)
+        return read.slice(offset - before, end - offset)
 
 
 def thinned(path: Path, most: int | None = None) -> tuple[pl.DataFrame, NDArray[np.int64]]:
@@ -63,8 +68,7 @@ def thinned(path: Path, most: int | None = None) -> tuple[pl.DataFrame, NDArray[
     file = pq.ParquetFile(path)
     every = max(1, -(-int(file.metadata.num_rows) // (most or DRAWN)))
     kept, numbers, before, last = [], [], 0, None
-    for batch in file.iter_batches(ROWS):
-        frame = frame_of(pa.Table.from_batches([batch]))
+    for frame in _frames(file):
         rows = np.arange(before, before + frame.height)
         keep = rows % every == 0
         if DETECTION in frame.columns and frame.height:
@@ -84,26 +88,30 @@ def evenly(path: Path, most: int | None = None) -> pl.DataFrame:
     file = pq.ParquetFile(path)
     step = max(1, file.metadata.num_rows // (most or DRAWN))
     kept, seen = [], 0
-    for batch in file.iter_batches(ROWS):
-        frame = frame_of(pa.Table.from_batches([batch]))
+    for frame in _frames(file):
         kept.append(frame.gather_every(step, -seen % step))
         seen += frame.height
     return pl.concat(kept) if kept else frame_of(file.schema_arrow.empty_table())
+
+
+def _frames(file: pq.ParquetFile) -> Iterator[pl.DataFrame]:
+    """The row groups, one in memory at a time."""
+    return (frame_of(file.read_row_group(i)) for i in range(file.num_row_groups))
 
 
 class Reader:
     """Reads a Parquet file's rows in order of time, each once."""
 
     def __init__(self, path: Path) -> None:
-        self.batches = pq.ParquetFile(path).iter_batches(ROWS)
+        self.frames = _frames(pq.ParquetFile(path))
         self.rest = pl.DataFrame(schema=pl.read_parquet_schema(path))
 
     def before(self, time: float) -> pl.DataFrame:
         """The rows before ``time`` that have not been had."""
         while not self.rest.height or self.rest[TIME][-1] < time:
-            if (batch := next(self.batches, None)) is None:
+            if (frame := next(self.frames, None)) is None:
                 break
-            self.rest = pl.concat([self.rest, frame_of(pa.Table.from_batches([batch]))])
+            self.rest = pl.concat([self.rest, frame])
         count = int(self.rest[TIME].search_sorted(time, side="left"))
         had, self.rest = self.rest.head(count), self.rest.slice(count)
         return had
@@ -119,7 +127,7 @@ class Writer:
 
     def add(self, frame: pl.DataFrame) -> None:
         self.waiting.append(frame)
-        if sum(f.height for f in self.waiting) >= ROWS:
+        if sum(f.estimated_size() for f in self.waiting) >= BYTES:
             self._flush()
 
     def _flush(self) -> None:
@@ -129,8 +137,12 @@ class Writer:
         self.waiting = []
         table = frame.to_arrow(compat_level=pl.CompatLevel.oldest())
         if self.writer is None:
-            self.writer = pq.ParquetWriter(self.path, table.schema, compression="zstd")
-        self.writer.write_table(table.cast(self.writer.schema), row_group_size=ROWS)
+            # samples rarely repeat, so a dictionary of them costs time and space
+            words = [f.name for f in table.schema if not pa.types.is_floating(f.type)]
+            self.writer = pq.ParquetWriter(
+                self.path, table.schema, compression="zstd", use_dictionary=words or False
+            )
+        self.writer.write_table(table.cast(self.writer.schema), row_group_size=max(1, table.num_rows))
 
     def close(self) -> None:
         self._flush()

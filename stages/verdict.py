@@ -36,6 +36,7 @@ from stages.results import (
 )
 
 ONSET_BACK_S, ONSET_AFTER_S = 600.0, 30.0
+ROWS = 1 << 16  # looked at at once: bounds memory
 
 
 class Table(Protocol):
@@ -46,6 +47,7 @@ class Table(Protocol):
     @property
     def height(self) -> int: ...
     def __getitem__(self, column: str, /) -> pl.Series: ...
+    def select(self, columns: list[str], /) -> Table: ...
     def slice(self, offset: int, length: int | None = None) -> pl.DataFrame: ...
 
 
@@ -116,11 +118,8 @@ class Judge:
         return [(int(rows[a]), int(rows[b])) for a, b in zip(starts, ends, strict=True)]
 
     def _probability(self, samples: Table, row: int) -> dict[str, float]:
-        return {
-            c.removeprefix(PROBABILITY): round(float(p), 6)
-            for c, p in samples.slice(row, 1).row(0, named=True).items()
-            if c.startswith(PROBABILITY)
-        }
+        there = _of_kind(samples, PROBABILITY).slice(row, 1)
+        return {c.removeprefix(PROBABILITY): round(float(there[c][0]), 6) for c in there.columns}
 
     def _event(self, samples: Table, first: int, last: int, row: int) -> Event:
         probability = self._probability(samples, row)
@@ -148,8 +147,7 @@ class Judge:
         column = fault + OF + of if of else fault
         if SIZE + column not in samples.columns:
             return None
-        there = samples.slice(row, 1)
-        value, sd = there[SIZE + column][0], there[SIZE_SD + column][0]
+        value, sd = samples.select([SIZE + column, SIZE_SD + column]).slice(row, 1).row(0)
         if value is None or np.isnan(value):  # of a pair that only looks like the one that was found
             return None
         return Magnitude(
@@ -164,8 +162,8 @@ class Judge:
 
 def _sensor(samples: Table, fault: str, row: int) -> str | None:
     """The sensor that a fault which several can have is most evident of at a row; None for other faults."""
-    names = [c for c in samples.columns if c.startswith(SENSOR + fault + OF)]
-    there = samples.slice(row, 1)
+    there = _of_kind(samples, SENSOR + fault + OF).slice(row, 1)
+    names = there.columns
     return max(names, key=lambda c: there[c][0]).removeprefix(SENSOR + fault + OF) if names else None
 
 
@@ -173,10 +171,14 @@ def _strongest(samples: Table, first: int, last: int) -> tuple[float, int]:
     """The largest evidence for a fault in an event, and the event's last row with half of it: at the very end
     an alarm may have begun anew, with nothing known yet."""
     names = [c for c in samples.columns if c.startswith(EVIDENCE) and c != EVIDENCE + UNKNOWN]
-    part = samples.slice(first, last - first + 1)
-    most = part.select(pl.max_horizontal(names or [STATISTIC])).to_series()  # else no fault is supposed
-    known = most.cast(pl.Float64).fill_nan(None).fill_null(0.0).to_numpy()
-    evidence = np.where(part[DETECTION].to_numpy() > 0, known, -np.inf)
+    names = names or [STATISTIC]  # no fault is supposed
+    asked = samples.select([*names, DETECTION])
+    evidence = np.empty(last - first + 1)
+    for k in range(0, evidence.size, ROWS):
+        part = asked.slice(first + k, min(ROWS, evidence.size - k))
+        known = part.select(pl.max_horizontal(names)).to_series().cast(pl.Float64).fill_nan(None)
+        on = part[DETECTION].to_numpy() > 0
+        evidence[k : k + ROWS] = np.where(on, known.fill_null(0.0).to_numpy(), -np.inf)
     largest = float(np.max(evidence))
     return largest, first + int(np.flatnonzero(evidence >= min(0.5 * largest, largest))[-1])
 
@@ -184,12 +186,11 @@ def _strongest(samples: Table, first: int, last: int) -> tuple[float, int]:
 def detectable(samples: Table) -> dict[str, float | None] | None:
     """Smallest size of each fault that the log would have shown at 95 %; None where it would have shown
     none."""
-    last = samples.slice(max(samples.height - 1, 0), 1).to_dicts()
+    last = _of_kind(samples, DETECTABLE).slice(max(samples.height - 1, 0), 1).to_dicts()
     found = {
         c.removeprefix(DETECTABLE): None if x is None or not np.isfinite(x) else float(f"{x:.3g}")
         for row in last
         for c, x in row.items()
-        if c.startswith(DETECTABLE)
     }
     return found or None
 
@@ -206,16 +207,15 @@ def onset(samples: Table, first: int, fault: str = "", sensor: str | None = None
     time = samples[TIME].to_numpy()
     evident = SENSOR + fault + OF + (sensor or "")
     if evident in samples.columns and SIZE + fault + OF + (sensor or "") not in samples.columns:
-        there = _array(samples.slice(0, first + 1), evident) > 0
+        there = _array(samples, evident)[: first + 1] > 0
         if there[-1]:
             return float(time[np.flatnonzero(~there)[-1] + 1 if not there.all() else 0])
     a = int(np.searchsorted(time, time[first] - ONSET_BACK_S))
     b = int(np.searchsorted(time, time[first] + ONSET_AFTER_S, side="right"))
-    part = samples.slice(a, b - a)
+    shifts = [c for c in samples.columns if c.startswith(Z)]
+    part = samples.select([*shifts, *(SIGMA + c.removeprefix(Z) for c in shifts)]).slice(a, b - a)
     gain = np.zeros(first - a + 1)
-    for c in samples.columns:
-        if not c.startswith(Z):
-            continue
+    for c in shifts:
         sigma = _array(part, SIGMA + c.removeprefix(Z))
         e = _array(part, c) * sigma
         weight = np.where(np.isfinite(e), 1 / sigma**2, 0.0)
@@ -261,6 +261,10 @@ def residual_statistics(samples: Table) -> dict[str, dict[str, float | None]]:
         return out
     in_domain = samples[IN_DOMAIN].mean() if samples.height else None
     return {**out, IN_DOMAIN: {"share": float(in_domain) if in_domain is not None else None}}  # type: ignore[arg-type]
+
+
+def _of_kind(samples: Table, kind: str) -> Table:
+    return samples.select([c for c in samples.columns if c.startswith(kind)])
 
 
 def _array(samples: Table, column: str) -> NDArray[np.float64]:

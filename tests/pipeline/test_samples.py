@@ -18,7 +18,7 @@ def frame() -> pl.DataFrame:
 @pytest.fixture
 def path(frame: pl.DataFrame, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Written in parts of odd sizes, 100 rows a group or a little more."""
-    monkeypatch.setattr(samples, "ROWS", 100)
+    monkeypatch.setattr(samples, "BYTES", 1600)
     with writing(tmp_path / "x.parquet") as writer:
         for start in range(0, 1000, 37):
             writer.add(frame.slice(start, 37))
@@ -37,6 +37,13 @@ def test_what_is_read_is_what_was_written(frame: pl.DataFrame, path: Path) -> No
 @pytest.mark.parametrize("length", [0, 1, 12, 111, 400, 5000, None])
 def test_slices(frame: pl.DataFrame, path: Path, offset: int, length: int | None) -> None:
     assert Stored(path).slice(offset, length).equals(frame.slice(offset, length))
+
+
+def test_slices_of_columns_in_the_order_asked_for(frame: pl.DataFrame, path: Path) -> None:
+    asked = Stored(path).select(["z.a", "time"])
+    assert asked.columns == ["z.a", "time"]
+    assert asked.slice(95, 30).equals(frame.select("z.a", "time").slice(95, 30))
+    assert asked.select([]).slice(95, 30).width == 0
 
 
 def test_rows_in_order_of_time_each_once(frame: pl.DataFrame, path: Path) -> None:
