@@ -25,7 +25,7 @@ from unittest.mock import patch
 import numpy as np
 from numpy.typing import NDArray
 
-import stages.relations
+import stages.relation
 from benchmarks.airpath import CALIBRATION, LENGTH_S
 from benchmarks.liu_bench import read_logs, table
 from ingest.log import Log
@@ -37,6 +37,7 @@ from pipeline.recipe import load_recipe
 from stages.evaluation import Evaluation
 from stages.gate import GATE
 from stages.gsmms import Gsmms
+from stages.relations import Relations
 from stages.stage import columns, transform
 
 Array = NDArray[np.float64]
@@ -96,7 +97,7 @@ def regressor(peer: Callable[[Array, Array, Array], Model] | None) -> Iterator[N
         yield
         return
     known: dict[bytes, Model] = {}
-    fit_gsmms, evaluate = stages.relations.fit_gsmms, Gsmms.evaluate
+    fit_gsmms, evaluate = stages.relation.fit_gsmms, Gsmms.evaluate
 
     def fitted(S: Array, y: Array, weight: Array, own: Array, **settings: object) -> Gsmms:
         model = fit_gsmms(S, y, weight, own, **settings)  # type: ignore[arg-type]
@@ -113,7 +114,7 @@ def regressor(peer: Callable[[Array, Array, Array], Model] | None) -> Iterator[N
             prediction[rows] = model(S[rows])
         return found._replace(prediction=prediction, doubt=np.zeros(len(S)))
 
-    with patch.object(stages.relations, "fit_gsmms", fitted), patch.object(Gsmms, "evaluate", evaluated):
+    with patch.object(stages.relation, "fit_gsmms", fitted), patch.object(Gsmms, "evaluate", evaluated):
         yield
 
 
@@ -141,7 +142,7 @@ def calibration() -> list[Log]:
 
 def matrix(detector: Detector, log: Log) -> tuple[Array, Array]:
     """Times and signals of the samples at rest."""
-    place = next(i for i, s in enumerate(detector.stages) if isinstance(s, stages.relations.Relations))
+    place = next(i for i, s in enumerate(detector.stages) if isinstance(s, Relations))
     values = columns(transform(detector.stages[:place], log))
     rows = values[GATE] >= 0.5
     return values["time"][rows], np.column_stack([values[n][rows] for n in SIGNALS])

@@ -25,7 +25,8 @@ from ingest.log import TIME, Log
 from stages.gate import GATE
 from stages.gsmms import BLOCKS, Gsmms, features, region_spread, shrinkage, solve_blended
 from stages.partition import CHUNK
-from stages.relations import Relations, regressors
+from stages.relation import regressors
+from stages.relations import Relations
 from stages.stage import Arrays, columns
 
 Array = NDArray[np.float64]

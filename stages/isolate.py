@@ -40,8 +40,7 @@ from stages.evidence import follow
 from stages.formula import Formula
 from stages.gate import GATE
 from stages.hypotheses import Drift, Hypothesis, Points
-from stages.likelihood import SUMS
-from stages.memory import CLOCKS, Memory, Rows, Settings
+from stages.memory import Memory, Rows, Settings
 from stages.offsets import learned_offsets
 from stages.relations import familiarity
 from stages.residuals import Residuals, residual_names
@@ -192,26 +191,11 @@ class Isolate:
     def start(self) -> IsolateState:
         if "threshold" not in self.learned:
             raise RecipeError("isolate: nothing learned yet; fit it first")
-        F, R, points = len(self.hypotheses), len(self.points.residuals), len(self.grid.left) + 1
-        seconds = int(max(self.step_ages_s)) + 2
-        memory = Memory(
-            S=np.zeros((len(self.memories_s) + 2, R, SUMS, points)),
-            fresh=np.zeros((R, SUMS, points)),
-            earlier=np.zeros((seconds if self.rest else 0, R, SUMS, points)),
-            times=np.full(seconds if self.rest else 0, np.inf),
-            place=np.full(len(self.rest), np.nan),
-            kept=np.zeros(points),
-            before=np.zeros((R, SUMS, points)),
-            ended=np.zeros((R, SUMS, points)),
-            clocks=np.zeros(CLOCKS),
-            largest=np.full((len(self.memories_s) + 2, F), -np.inf),
-            detectable=np.full(F, np.inf),
-            statistic=np.full(1, -np.inf),
-            evidence=np.zeros(F + 1),
-            p=np.zeros(F + 1),
-            size=np.zeros(F),
-            size_sd=np.full(F, np.nan),
-        )
+        memory = Memory.empty(
+            memories=len(self.memories_s) + 2, residuals=len(self.points.residuals),
+            points=len(self.grid.left) + 1, faults=len(self.hypotheses), places=len(self.rest),
+            seconds=int(max(self.step_ages_s)) + 2 if self.rest else 0,
+        )  # fmt: skip
         return IsolateState(np.nan, np.nan, np.nan, memory)
 
     def step(self, state: IsolateState, block: Log, /) -> tuple[IsolateState, Log]:

@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from stages.likelihood import add_sample, fade
+from stages.likelihood import SUMS, add_sample, fade
 from stages.size_grid import Grid
 
 Array = NDArray[np.float64]
@@ -85,6 +85,32 @@ class Memory(NamedTuple):
     p: Array
     size: Array
     size_sd: Array
+
+    @classmethod
+    def empty(
+        cls, *, memories: int, residuals: int, points: int, faults: int, places: int, seconds: int
+    ) -> Memory:
+        """That of a log's start; ``places``: columns of the operating point, ``seconds`` of a rest that are
+        kept."""
+        sums = (residuals, SUMS, points)
+        return cls(
+            S=np.zeros((memories, *sums)),
+            fresh=np.zeros(sums),
+            earlier=np.zeros((seconds, *sums)),
+            times=np.full(seconds, np.inf),
+            place=np.full(places, np.nan),
+            kept=np.zeros(points),
+            before=np.zeros(sums),
+            ended=np.zeros(sums),
+            clocks=np.zeros(CLOCKS),
+            largest=np.full((memories, faults), -np.inf),
+            detectable=np.full(faults, np.inf),
+            statistic=np.full(1, -np.inf),
+            evidence=np.zeros(faults + 1),
+            p=np.zeros(faults + 1),
+            size=np.zeros(faults),
+            size_sd=np.full(faults, np.nan),
+        )
 
 
 @njit(cache=True, error_model="numpy")

@@ -10,7 +10,8 @@ from stages.hypotheses import Hypothesis
 from stages.isolate import Isolate
 from stages.normalise import Normalise
 from stages.regressors import Regressors
-from stages.relations import Relation, Relations
+from stages.relation import Relation
+from stages.relations import Relations
 from stages.residuals import Residuals
 from stages.stage import ANALYSIS, Learner, Stage, connected, transform
 

@@ -9,7 +9,8 @@ from ingest.log import Group, Log
 from stages.bending import bend_of
 from stages.gsmms import Combination, fit_gsmms
 from stages.partition import Growth
-from stages.relations import Relation, Relations
+from stages.relation import Relation
+from stages.relations import Relations
 from stages.stage import ANALYSIS, columns, transform
 
 Array = NDArray[np.float64]

@@ -9,7 +9,8 @@ import pytest
 from ingest.errors import LogError, RecipeError
 from ingest.log import Group, Log
 from stages.continuing import continued, gather
-from stages.relations import Relation, Relations
+from stages.relation import Relation
+from stages.relations import Relations
 from stages.stage import ANALYSIS
 
 

@@ -25,7 +25,8 @@ from stages.narx import Narx
 from stages.normalise import Normalise
 from stages.pairs import Pairs
 from stages.regressors import Regressors
-from stages.relations import Relation, Relations
+from stages.relation import Relation
+from stages.relations import Relations
 from stages.residuals import Residuals
 from stages.roughness import Roughness
 from stages.select_inputs import SelectInputs, Target

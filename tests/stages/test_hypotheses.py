@@ -11,7 +11,8 @@ from ingest.log import Group, Log
 from stages.hypotheses import DRIFT_PRIOR, Drift, Hypothesis, Points
 from stages.normalise import Normalise
 from stages.regressors import Regressors
-from stages.relations import Relation, Relations
+from stages.relation import Relation
+from stages.relations import Relations
 from stages.residuals import Residuals
 from stages.stage import ANALYSIS, RowWise, transform
 

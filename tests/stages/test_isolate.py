@@ -14,7 +14,8 @@ from ingest.log import Group, Log
 from stages.hypotheses import Hypothesis
 from stages.isolate import Isolate
 from stages.regressors import Regressors
-from stages.relations import Relation, Relations
+from stages.relation import Relation
+from stages.relations import Relations
 from stages.residuals import Residuals
 from stages.stage import ANALYSIS, Stage, connected, transform
 

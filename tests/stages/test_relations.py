@@ -12,7 +12,8 @@ import pytest
 from ingest.errors import LogError
 from ingest.log import Group, Log
 from stages.normalise import Normalise
-from stages.relations import Relation, Relations
+from stages.relation import Relation
+from stages.relations import Relations
 from stages.stage import ANALYSIS, columns, transform
 
 RELATIONS = {

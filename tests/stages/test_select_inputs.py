@@ -10,7 +10,8 @@ from ingest.errors import LogError, RecipeError
 from ingest.log import Group, Log
 from ingest.simulators.examples import STRUCTURES, simulate_example
 from stages.narx import COMBINATIONS, Narx
-from stages.relations import Relation, Relations
+from stages.relation import Relation
+from stages.relations import Relations
 from stages.select_inputs import SelectInputs, Target
 from stages.stage import ANALYSIS, columns, cut, run_stages, transform
 

@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from ingest.errors import LogError
-from stages.relations import Relation
+from stages.relation import Relation
 from stages.topology import study
 
 Array = NDArray[np.float64]
