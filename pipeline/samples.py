@@ -142,7 +142,7 @@ class Writer:
             self.writer = pq.ParquetWriter(
                 self.path, table.schema, compression="zstd", use_dictionary=words or False
             )
-        self.writer.write_table(table.cast(self.writer.schema), row_group_size=max(1, table.num_rows))
+        self.writer.write_table(table.cast(self.writer.schema))
 
     def close(self) -> None:
         self._flush()

@@ -8,7 +8,7 @@ they nor their domain are asked for more than they know.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -181,11 +181,12 @@ class Points:
         place, computed, inexact = slice(0, 1), base, 0.0
         for i in range(len(self.hypotheses) + 1):
             if i > 0:
-                sizes = np.array(self.sizes[i - 1])
+                sizes = np.array(self.sizes[i - 1])[:, None]
                 if not sizes.size:
                     continue
                 place = slice(place.stop, place.stop + len(sizes))
-                computed, inexact = self.undone(base, [(i - 1, sizes)]), self.hypotheses[i - 1].inexact
+                computed = self.undone(base, np.full(sizes.shape, i - 1), sizes)
+                inexact = self.hypotheses[i - 1].inexact
             for r, name in enumerate(self.residuals):
                 there, sd = computed[RESIDUAL + name], computed[MODEL_SD + name]
                 if inexact > 0.0 and there is not base[RESIDUAL + name]:
@@ -204,14 +205,36 @@ class Points:
             base |= stage.compute(base)
         return base
 
-    def undone(self, base: Mapping[str, Array], faults: Sequence[tuple[int, Array]]) -> dict[str, Array]:
-        """The chain's columns with the ``faults`` (numbers of hypotheses and their K sizes each) undone, one
-        after the other: shape (K, rows), or (1, rows) where a column is the same for all."""
-        found = dict(base)
-        for i, sizes in faults:
-            scope = {**found, THETA: sizes[:, None]}
-            found |= {column: formula(scope) for column, formula in self.hypotheses[i].formulas.items()}
+    def undone(self, base: Mapping[str, Array], which: NDArray[np.intp], sizes: Array) -> dict[str, Array]:
+        """The chain's columns at K points, at each of them the hypotheses of the numbers ``which`` (K, any)
+        undone at their ``sizes`` (K, any), one after the other: shape (K, rows), or (1, rows) where a column
+        is the same for all."""
+        found, numbers = dict(base), np.unique(which).tolist()
+        for faults, theta in zip(which.T, sizes.T, strict=True):
+            for i in numbers:
+                if (at := faults == i).any():
+                    found |= self._corrected(found, i, at, theta[at])
         for k, stage in enumerate(self.chain):
-            if wanted := set[str]().union(*(self._plans[i][k] for i, _ in faults)):
+            if wanted := set[str]().union(*(self._plans[i][k] for i in numbers)):
                 found |= stage.compute(found, wanted)
         return found
+
+    def _corrected(
+        self, found: Mapping[str, Array], i: int, at: NDArray[np.bool_], sizes: Array
+    ) -> dict[str, Array]:
+        """The columns that hypothesis ``i`` undoes, undone at some of the points."""
+        h = self.hypotheses[i]
+        scope = at_points(found, {*h.needs, ELAPSED}, at) | {THETA: sizes[:, None]}
+        undone = {column: formula(scope) for column, formula in h.formulas.items()}
+        if at.all():
+            return undone
+        out = {}
+        for column, x in undone.items():
+            out[column] = np.array(np.broadcast_to(found[column], (len(at), found[ELAPSED].shape[1])))
+            out[column][at] = x
+        return out
+
+
+def at_points(found: Mapping[str, Array], names: Set[str], at: NDArray[np.bool_]) -> dict[str, Array]:
+    """Columns, (points, rows) or (1, rows), at some of the points."""
+    return {n: found[n] if len(found[n]) == 1 else found[n][at] for n in names & found.keys()}

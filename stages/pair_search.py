@@ -5,17 +5,17 @@ Where to begin, and whether at all, is said by what each does alone (:mod:`stage
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stages.additive import Additive
-from stages.hypotheses import ELAPSED, OFFSET, Evaluated, Points
+from stages.hypotheses import ELAPSED, OFFSET, Evaluated, Hypothesis, Points, at_points
 from stages.likelihood import log_likelihoods, peak
 from stages.pooled import Blend, as_computed, pooled
 from stages.relations import REGIME, familiarity
@@ -24,6 +24,7 @@ from stages.size_grid import Grid
 
 Array = NDArray[np.float64]
 SETTLED = 0.02  # standard deviations that a last step of Newton's is at most
+GAIN, IDLE = 0.05, 2  # what a step gains at least, else so many in a row are the last
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,7 @@ class Window:
         model = np.maximum(doubt**2 - wrong**2, 0.0)
         return e, np.sqrt(sigma**2 - model), np.sqrt(model + blur**2), wrong
 
-    def _blur(self, k: int, found: dict[str, Array]) -> Array:
+    def _blur(self, k: int, found: Mapping[str, Array]) -> Array:
         """Shape (rows, 1, sizes or 1), from what has been ``found`` (sizes or 1, rows)."""
         offsets = {OFFSET + r: self.sd[i, 0] for i, r in enumerate(self.points.residuals)}
         x = np.atleast_2d(self.points.hypotheses[k].blurred({**found, **offsets}))
@@ -181,16 +182,12 @@ class Window:
             near=int(self.grid.left[near]), clip=self.clip,
         )  # fmt: skip
 
-    def familiar(self, pairs: Sequence[tuple[int, int, Pair]], known_to: float) -> Window:
-        """The samples that a single fault or one of the ``pairs`` brings to where relations were trained."""
-        novelty = [self.computed[3]]
-        for i, j, pair in pairs:
-            found = self._undone(i, j, np.array([pair.sizes]))
-            novelty.append(self._stacked(found, UNFAMILIAR, 1)[:, :, 0])
-        return self.trusted(familiarity(np.nan_to_num(novelty, nan=np.inf).min(axis=0), known_to))
-
-    def _undone(self, i: int, j: int, sizes: Array) -> dict[str, Array]:
-        return self.points.undone(self.base, [(i, sizes[:, 0]), (j, sizes[:, 1])])
+    def familiar(self, which: NDArray[np.intp], sizes: Array, known_to: float) -> Window:
+        """The samples that a single fault or one of the pairs, as in :meth:`both`, brings to where relations
+        were trained."""
+        found = self.points.undone(self.base, which, sizes)
+        pairs = np.nan_to_num(self._stacked(found, UNFAMILIAR, len(which)), nan=np.inf).min(axis=2)
+        return self.trusted(familiarity(np.minimum(self.computed[3], pairs), known_to))
 
     def _stacked(self, found: dict[str, Array], kind: str, K: int) -> Array:
         """Columns of all residuals, shape (rows, residuals, K)."""
@@ -199,16 +196,19 @@ class Window:
             stacked[:, r] = found[kind + name].T
         return stacked
 
-    def both(self, i: int, j: int, sizes: Array) -> Array:
-        """L with hypotheses ``i`` and ``j`` undone one after the other, ``sizes`` (K, 2); shape (K,)."""
-        found = self._undone(i, j, sizes)
-        e, sigma, model = (self._stacked(found, kind, len(sizes)) for kind in (RESIDUAL, SIGMA, MODEL_SD))
-        inexact = max(self.points.hypotheses[k].inexact for k in (i, j))
+    def both(self, which: NDArray[np.intp], sizes: Array) -> Array:
+        """L with two hypotheses undone one after the other, of the numbers ``which`` (K, 2) at ``sizes``
+        (K, 2); shape (K,)."""
+        K, hypotheses = len(which), self.points.hypotheses
+        found = self.points.undone(self.base, which, sizes)
+        e, sigma, model = (self._stacked(found, kind, K) for kind in (RESIDUAL, SIGMA, MODEL_SD))
+        inexact = np.array([h.inexact for h in hypotheses])[which].max(axis=1)
         wrong = inexact * (e - self._stacked(self.base, RESIDUAL, 1))
         doubt = model**2
-        for k, x in zip((i, j), sizes.T, strict=True):
-            if self.points.hypotheses[k].blurred.names:
-                doubt = doubt + (self._blur(k, found) * self._moved(k, x)) ** 2
+        for k, h in enumerate(hypotheses):
+            if h.blurred.names and (at := (which == k).any(axis=1)).any():
+                blur = self._blur(k, at_points(found, h.blurred.names, at))
+                doubt[:, :, at] += (blur * self._moved(k, sizes[which == k])) ** 2
         return self.likelihood(e, np.sqrt(sigma**2 - model**2), np.sqrt(doubt), wrong)
 
     def _moved(self, k: int, sizes: Array) -> Array:
@@ -220,44 +220,76 @@ class Window:
         moved = np.nan_to_num(e[:, :, place] - e[:, :, :1])
         return np.asarray((1 - share) * moved[:, :, right - 1] + share * moved[:, :, right])
 
-    def start(self, i: int, j: int, first: Sequence[float], second: Sequence[float]) -> tuple[float, float]:
-        """The likeliest sizes of two hypotheses among ``first`` and ``second``."""
-        sizes = np.array([*product(first, second)])
-        x, y = sizes[int(self.both(i, j, sizes).argmax())]
-        return float(x), float(y)
+    def sought(self, searches: Mapping[str, Search]) -> dict[str, Pair]:
+        """What searches come to, by name; what all of them ask for at a time is computed at once."""
+        asked, found = {name: next(search.steps) for name, search in searches.items()}, dict[str, Pair]()
+        while asked:
+            which = [np.tile(searches[name].which, (len(x), 1)) for name, x in asked.items()]
+            L = self.both(np.concatenate(which), np.concatenate([*asked.values()]))
+            answers = np.split(L, np.cumsum([len(x) for x in asked.values()])[:-1])
+            waiting, asked = zip([*asked], answers, strict=True), {}
+            for name, answer in waiting:
+                try:
+                    asked[name] = searches[name].steps.send(answer)
+                except StopIteration as end:
+                    found[name] = end.value
+        return {name: found[name] for name in searches}
 
-    def refined(self, i: int, j: int, start: Pair | tuple[float, float], steps: int) -> Pair:
-        """The pair near ``start`` that is most likely, by Newton's steps on differences."""
-        grids = [np.array(self.points.hypotheses[k].sizes) for k in (i, j)]
-        at = np.array(start.sizes if isinstance(start, Pair) else start)
-        h = np.array([0.5 * np.abs(np.diff(g)).min() for g in grids])
-        if isinstance(start, Pair):
-            h = np.minimum(h, start.sds)
-        low, high = (np.array([f(g) for g in grids]) for f in (np.min, np.max))
-        best, top, C = at, -np.inf, np.diag(h**2)
-        for _ in range(steps):
-            L = self.both(i, j, at + STENCIL * h)
-            if L.max() > top:
-                best, top = at + STENCIL[int(L.argmax())] * h, float(L.max())
-            gradient = np.array([L[1] - L[2], L[3] - L[4]]) / (2 * h)
-            H = np.diag([L[1] - 2 * L[0] + L[2], L[3] - 2 * L[0] + L[4]]) / h**2
-            H[0, 1] = H[1, 0] = (L[5] - L[6] - L[7] + L[8]) / (4 * h[0] * h[1])
-            if (np.linalg.eigvalsh(H) < 0).all():
-                C = -np.linalg.inv(H)
-                step = C @ gradient
-                if (np.abs(step) < SETTLED * np.sqrt(np.diag(C))).all():
-                    break
-                at = at + np.clip(step, -4 * h, 4 * h)
-                h = np.clip(np.sqrt(np.diag(C)), 0.25 * h, h)
-            else:
-                at = best
-            at = np.clip(at, low, high)
-        sds = np.sqrt(np.diag(C))
-        width = 2 * np.pi * np.sqrt(max(np.linalg.det(C), 0.0)) / np.prod(high - low)
-        share = float(np.log(min(1.0, max(width, 1e-300))))
-        return Pair(
-            top + share, -np.inf, share, (float(best[0]), float(best[1])), (float(sds[0]), float(sds[1]))
-        )
+
+Two = tuple[Hypothesis, Hypothesis]
+Steps = Generator[Array, Array, Pair]
+
+
+class Search(NamedTuple):
+    """For the sizes of two hypotheses: their numbers, and ``steps`` that yield sizes (K, 2) and are sent L
+    (K,) of them."""
+
+    which: tuple[int, int]
+    steps: Steps
+
+
+def begun(
+    hypotheses: tuple[Hypothesis, Hypothesis], first: Sequence[float], second: Sequence[float]
+) -> Steps:
+    """From the likeliest of the sizes ``first`` and ``second``."""
+    sizes = np.array([*product(first, second)])
+    L = yield sizes
+    return (yield from refined(hypotheses, sizes[int(L.argmax())], 12))
+
+
+def refined(hypotheses: Two, start: Pair | Array, steps: int) -> Steps:
+    """The pair near ``start`` that is most likely, by Newton's steps on differences."""
+    grids = [np.array(h.sizes) for h in hypotheses]
+    at = np.array(start.sizes) if isinstance(start, Pair) else start
+    h = np.array([0.5 * np.abs(np.diff(g)).min() for g in grids])
+    if isinstance(start, Pair):
+        h = np.minimum(h, start.sds)
+    low, high = (np.array([f(g) for g in grids]) for f in (np.min, np.max))
+    best, top, C, idle = at, -np.inf, np.diag(h**2), 0
+    for _ in range(steps):
+        L = yield at + STENCIL * h
+        idle = 0 if L.max() > top + GAIN else idle + 1
+        if L.max() > top:
+            best, top = at + STENCIL[int(L.argmax())] * h, float(L.max())
+        if idle == IDLE:
+            break
+        gradient = np.array([L[1] - L[2], L[3] - L[4]]) / (2 * h)
+        H = np.diag([L[1] - 2 * L[0] + L[2], L[3] - 2 * L[0] + L[4]]) / h**2
+        H[0, 1] = H[1, 0] = (L[5] - L[6] - L[7] + L[8]) / (4 * h[0] * h[1])
+        if (np.linalg.eigvalsh(H) < 0).all():
+            C = -np.linalg.inv(H)
+            step = C @ gradient
+            if (np.abs(step) < SETTLED * np.sqrt(np.diag(C))).all():
+                break
+            at = at + np.clip(step, -4 * h, 4 * h)
+            h = np.clip(np.sqrt(np.diag(C)), 0.25 * h, h)
+        else:
+            at = best
+        at = np.clip(at, low, high)
+    sds = np.sqrt(np.diag(C))
+    width = 2 * np.pi * np.sqrt(max(np.linalg.det(C), 0.0)) / np.prod(high - low)
+    share = float(np.log(min(1.0, max(width, 1e-300))))
+    return Pair(top + share, -np.inf, share, (float(best[0]), float(best[1])), (float(sds[0]), float(sds[1])))
 
 
 STENCIL = np.array(

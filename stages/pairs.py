@@ -38,7 +38,7 @@ from ingest.log import TIME, Log
 from stages.gate import GATE
 from stages.hypotheses import ELAPSED
 from stages.isolate import Isolate
-from stages.pair_search import Pair, Window
+from stages.pair_search import Pair, Search, Window, begun, refined
 from stages.rarer import ONE, UNSEEN, Alone, Also, Rarer
 from stages.results import DETECTION, EVIDENCE, OF, PAIR, PROBABILITY, SENSOR, SIZE, SIZE_SD, UNKNOWN
 from stages.stage import ANALYSIS, Stage, add_columns, columns
@@ -194,41 +194,63 @@ class Pairs:
         """The pairs that say more than any single fault, their sizes refined; ``height`` is by how much;
         ``some`` of the samples are to find them; ``before``: those that were found by then. A fault that is
         smaller than the smallest size of its grid is none."""
-        isolate, few = self.isolate, some.thinned(FEW)
-        names, drifts = [*isolate.hypotheses], len(isolate.drifts)
+        isolate, names = self.isolate, [*self.isolate.hypotheses]
         place = {f: k for k, f in enumerate(names)}
-        least = {f: 0.99 * min(map(abs, isolate.hypotheses[f].sizes)) for f in names}
+        least = {f: 0.99 * min(map(abs, h.sizes)) for f, h in isolate.hypotheses.items()}
         about = {
-            p: some.additive.pair(place[a], place[b], (least[a], least[b]))
-            for p, (a, b) in self.pairs.items()
+            pair: some.additive.pair(place[a], place[b], (least[a], least[b]))
+            for pair, (a, b) in self.pairs.items()
         }
         most = max((gain for gain, _ in about.values()), default=0.0)
         near = any(pair.height > -self.penalty for pair in before.values())
         if not near and most < self.penalty:
             return {}
-        sizes = {f: [*isolate.hypotheses[f].sizes[::3], few.singles[k][0]] for f, k in place.items()}
-        at: dict[str, tuple[int, int, Pair]] = {}
-        for pair, (a, b) in self.pairs.items():
-            i, j = drifts + place[a], drifts + place[b]
-            known = [x.sizes for x in (before.get(pair),) if x]
-            first, second = zip(about[pair][1], *known, strict=True)
-            start = few.start(i, j, [*sizes[a], *first], [*sizes[b], *second])
-            x = window.refined(i, j, few.refined(i, j, start, 12), 2)
-            if abs(x.sizes[0]) >= least[a] and abs(x.sizes[1]) >= least[b]:
-                at[pair] = i, j, x
+        starts = {pair: [at, *(x.sizes for x in (before.get(pair),) if x)] for pair, (_, at) in about.items()}
         named = int(np.argmax([height for _, height in window.singles]))
         single, size = names[named], window.singles[named][0]
-        at = {pair: x for pair, x in at.items() if not self._mirrors(pair, x[2], single, size)}
-        if not at:
+        found = {
+            pair: x
+            for pair, x in self._refined(window, some.thinned(FEW), starts).items()
+            if all(abs(s) >= least[f] for s, f in zip(x.sizes, self.pairs[pair], strict=True))
+            and not self._mirrors(pair, x, single, size)
+        }
+        if not found:
             return {}
-        familiar = window.familiar(list(at.values()), isolate.known_to)
+        which = np.array([self._numbers[pair] for pair in found])
+        sizes = np.array([x.sizes for x in found.values()])
+        familiar = window.familiar(which, sizes, isolate.known_to)
         best = max(familiar.most + self.penalty, familiar.alone)
         unknown = familiar.unknown(isolate.wide_sd) - isolate.unknown_penalty + best - familiar.most
-        found = {}
-        for pair, (i, j, x) in at.items():
-            L = familiar.both(i, j, np.array([x.sizes]))[0] + x.share
-            found[pair] = replace(x, height=L - best, over_unknown=L - unknown)
-        return found
+        L = familiar.both(which, sizes) + [x.share for x in found.values()]
+        return {
+            pair: replace(x, height=height - best, over_unknown=height - unknown)
+            for (pair, x), height in zip(found.items(), L.tolist(), strict=True)
+        }
+
+    @cached_property
+    def _numbers(self) -> dict[str, tuple[int, int]]:
+        """Of every pair the hypotheses' numbers among the points'."""
+        place = {f: len(self.isolate.drifts) + k for k, f in enumerate(self.isolate.hypotheses)}
+        return {pair: (place[a], place[b]) for pair, (a, b) in self.pairs.items()}
+
+    def _refined(
+        self, window: Window, few: Window, starts: Mapping[str, Sequence[tuple[float, float]]]
+    ) -> dict[str, Pair]:
+        """The likeliest sizes of all pairs, found on ``few`` samples from the ``starts`` and those of the
+        grid, then refined."""
+        hypotheses = self.isolate.hypotheses
+        alone = {f: few.singles[k][0] for k, f in enumerate(hypotheses)}
+        sizes = {f: [*h.sizes[::3], alone[f]] for f, h in hypotheses.items()}
+        both = {pair: (hypotheses[a], hypotheses[b]) for pair, (a, b) in self.pairs.items()}
+        searches = {}
+        for pair, (a, b) in self.pairs.items():
+            first, second = zip(*starts[pair], strict=True)
+            steps = begun(both[pair], [*sizes[a], *first], [*sizes[b], *second])
+            searches[pair] = Search(self._numbers[pair], steps)
+        found = few.sought(searches)
+        return window.sought(
+            {pair: Search(self._numbers[pair], refined(both[pair], x, 2)) for pair, x in found.items()}
+        )
 
     def _mirrors(self, pair: str, found: Pair, single: str, size: float) -> bool:
         """Whether a pair only says in other words that one fault of those alike has a ``size``: the two

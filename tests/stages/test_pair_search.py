@@ -56,5 +56,5 @@ def test_doubt_and_blur_are_shared_by_a_regime_and_what_may_be_wrong_by_all(wind
 def test_so_they_are_of_two_faults_at_once(window: Window) -> None:
     e = window.values["residual.r"]
     for x, y in ((1.0, 1.0), (1.5, 1.25)):
-        height = window.both(0, 1, np.array([[x, y]]))[0]
+        height = window.both(np.array([[0, 1]]), np.array([[x, y]]))[0]
         assert height == pytest.approx(expected(e - x - 2 * y, 0.1 * (x + 2 * y), 0.15 * x), rel=1e-9)
