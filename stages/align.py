@@ -248,5 +248,6 @@ class _Near:
 
 def _last_known(frame: pl.DataFrame, names: Sequence[str]) -> float:
     """The earliest of the last times at which each column has a value, -inf where one has none."""
-    last = [frame.select(pl.col(TIME).filter(pl.col(n).is_not_null()).last()).item() for n in names]
-    return min((float(t) if t is not None else -np.inf for t in last), default=-np.inf)
+    time = frame[TIME]
+    known = [time.filter(frame[n].is_not_null()) if frame[n].null_count() else time for n in names]
+    return min((float(t[-1]) if t.len() else -np.inf for t in known), default=-np.inf)

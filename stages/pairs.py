@@ -2,10 +2,10 @@
 
 After the stage `isolate`, on at most ``rows`` of an alarm's usable samples, evenly, whenever the alarm has
 2.5 times as many as before. Where a second fault adds little to what the likeliest one explains
-(:mod:`stages.additive`), and no pair was near before, that is all. Else a sensor's fault and another of
-``faults`` are undone one after the other at a few sizes and on a few samples, and Newton's steps on the
-log-likelihood L (:mod:`stages.likelihood`) find both sizes. With d the standard deviation of a size, C the
-covariance of the two, and f* the best single fault,
+(:mod:`stages.additive`), and no pair was near before, that is all. Else the two of every pair that does not
+explain far less, a sensor's fault and another of ``faults``, are undone one after the other at a few sizes
+and on a few samples, and Newton's steps on the log-likelihood L (:mod:`stages.likelihood`) find both sizes.
+With d the standard deviation of a size, C the covariance of the two, and f* the best single fault,
 
     evidence_fg = evidence_f* + L_fg + ln(2 pi |C|^1/2 / ranges) - max(L_f* + penalty, L_h),
     L_f* = max_f [L_f + ln(sqrt(2 pi) d / range)],
@@ -78,7 +78,7 @@ class Pairs:
         RecipeError: the stage before is not `isolate`, or has no such fault.
     """
 
-    version: ClassVar[str] = "12"
+    version: ClassVar[str] = "13"
     faults: tuple[str, ...] = ()
     penalty: float = 10.0
     model_error: float = 0.03
@@ -201,11 +201,14 @@ class Pairs:
             pair: some.additive.pair(place[a], place[b], (least[a], least[b]))
             for pair, (a, b) in self.pairs.items()
         }
-        most = max((gain for gain, _ in about.values()), default=0.0)
-        near = any(pair.height > -self.penalty for pair in before.values())
-        if not near and most < self.penalty:
+        near = {pair for pair, x in before.items() if x.height > -self.penalty}
+        if not near and max((gain for gain, _ in about.values()), default=0.0) < self.penalty:
             return {}
-        starts = {pair: [at, *(x.sizes for x in (before.get(pair),) if x)] for pair, (_, at) in about.items()}
+        starts = {
+            pair: [at, *(x.sizes for x in (before.get(pair),) if x)]
+            for pair, (gain, at) in about.items()
+            if gain > -self.penalty or pair in near
+        }
         named = int(np.argmax([height for _, height in window.singles]))
         single, size = names[named], window.singles[named][0]
         found = {
@@ -236,15 +239,15 @@ class Pairs:
     def _refined(
         self, window: Window, few: Window, starts: Mapping[str, Sequence[tuple[float, float]]]
     ) -> dict[str, Pair]:
-        """The likeliest sizes of all pairs, found on ``few`` samples from the ``starts`` and those of the
-        grid, then refined."""
+        """The likeliest sizes of the pairs of ``starts``, found on ``few`` samples from there and from the
+        grid's, then refined."""
         hypotheses = self.isolate.hypotheses
         alone = {f: few.singles[k][0] for k, f in enumerate(hypotheses)}
         sizes = {f: [*h.sizes[::3], alone[f]] for f, h in hypotheses.items()}
         both = {pair: (hypotheses[a], hypotheses[b]) for pair, (a, b) in self.pairs.items()}
         searches = {}
-        for pair, (a, b) in self.pairs.items():
-            first, second = zip(*starts[pair], strict=True)
+        for pair, some in starts.items():
+            (a, b), (first, second) = self.pairs[pair], zip(*some, strict=True)
             steps = begun(both[pair], [*sizes[a], *first], [*sizes[b], *second])
             searches[pair] = Search(self._numbers[pair], steps)
         found = few.sought(searches)

@@ -15,7 +15,21 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from stages.likelihood import A11, A12, A22, B1, B2, SUMS, D, Q, add_points, interpolate, precisions, tame
+from stages.likelihood import (
+    A11,
+    A12,
+    A22,
+    B1,
+    B2,
+    SUMS,
+    D,
+    Q,
+    add_logarithms,
+    add_points,
+    interpolate,
+    precisions,
+    tame,
+)
 
 Array = NDArray[np.float64]
 
@@ -91,13 +105,16 @@ def add_group(S: Array, T: Array) -> None:  # pragma: no cover - compiled
 
         A11 k,  B1 k,  A12 k,  A22 - v k A12^2,  B2 - v k A12 B1,  Q - v k B1^2 + ln(1 + v A11).
     """
+    shared = np.empty(S.shape[1])
     for p in range(S.shape[1]):
         a, b, a12 = T[A11, p], T[B1, p], T[A12, p]
         v = T[D, p] / a if a > 0.0 else 0.0
-        k = 1.0 / (1.0 + v * a)
+        shared[p] = 1.0 + v * a
+        k = 1.0 / shared[p]
         S[A11, p] += a * k
         S[B1, p] += b * k
-        S[Q, p] += T[Q, p] - v * k * b * b + np.log(1.0 + v * a)
+        S[Q, p] += T[Q, p] - v * k * b * b
         S[A12, p] += a12 * k
         S[A22, p] += T[A22, p] - v * k * a12 * a12
         S[B2, p] += T[B2, p] - v * k * a12 * b
+    add_logarithms(S[Q], 1.0, shared)
