@@ -243,7 +243,7 @@ class Pairs:
         grid's, then refined."""
         hypotheses = self.isolate.hypotheses
         alone = {f: few.singles[k][0] for k, f in enumerate(hypotheses)}
-        sizes = {f: [*h.sizes[::3], alone[f]] for f, h in hypotheses.items()}
+        sizes = {f: [*h.sizes[::5], alone[f]] for f, h in hypotheses.items()}
         both = {pair: (hypotheses[a], hypotheses[b]) for pair, (a, b) in self.pairs.items()}
         searches = {}
         for pair, some in starts.items():
