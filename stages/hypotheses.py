@@ -214,9 +214,15 @@ class Points:
             for i in numbers:
                 if (at := faults == i).any():
                     found |= self._corrected(found, i, at, theta[at])
+        undone = set[str]().union(*(self.hypotheses[i].undo for i in numbers))
         for k, stage in enumerate(self.chain):
             if wanted := set[str]().union(*(self._plans[i][k] for i in numbers)):
-                found |= stage.compute(found, wanted)
+                computed = stage.compute(found, wanted)
+                for column in undone & computed.keys():  # where it was undone itself, it stays so
+                    of = [i for i in numbers if column in self.hypotheses[i].undo]
+                    stays = np.isin(which, of).any(axis=1, keepdims=True)
+                    computed[column] = np.where(stays, found[column], computed[column])
+                found |= computed
         return found
 
     def _corrected(

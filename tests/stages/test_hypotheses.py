@@ -77,6 +77,25 @@ def test_what_is_not_computed_anew_would_be_the_same(chain: list[RowWise]) -> No
             point += 1
 
 
+def test_points_undone_together_are_those_undone_alone(chain: list[RowWise]) -> None:
+    values = system(50)
+    hypotheses = [
+        Hypothesis(undo={"y": "y / (1 + theta)"}, sizes=(0.1, 0.2)),
+        Hypothesis(undo={"a": "a - theta", "y": "y + a * theta"}, sizes=(-0.1, 0.1)),
+        Hypothesis(undo={"half": "half - theta"}, sizes=(0.3,)),
+        Hypothesis(undo={"a": "a - theta * exp(-elapsed / 30)"}, sizes=(0.1, 0.2)),
+    ]
+    points = Points(hypotheses, chain, ["r"])
+    base = points.as_it_is(values, values["time"])
+    which = np.array([[0, 1], [2, 3], [1, 0], [0, 3], [2, 3], [3, 3]])
+    sizes = np.array([[0.1, 0.05], [0.3, 0.1], [0.05, 0.1], [0.2, -0.1], [0.1, 0.2], [0.1, 0.1]])
+    together = points.undone(base, which, sizes)
+    for k in range(len(which)):
+        alone = points.undone(base, which[k : k + 1], sizes[k : k + 1])
+        for column in ("residual.r", "sigma.r", "model_sd.r", "novelty.r"):
+            np.testing.assert_allclose(together[column][k], alone[column][0], rtol=1e-12)
+
+
 def test_chunks_do_not_matter_and_nothing_is_changed(
     chain: list[RowWise], monkeypatch: pytest.MonkeyPatch
 ) -> None:
