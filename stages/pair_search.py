@@ -248,9 +248,7 @@ class Search(NamedTuple):
     steps: Steps
 
 
-def begun(
-    hypotheses: tuple[Hypothesis, Hypothesis], first: Sequence[float], second: Sequence[float]
-) -> Steps:
+def begun(hypotheses: Two, first: Sequence[float], second: Sequence[float]) -> Steps:
     """From the likeliest of the sizes ``first`` and ``second``."""
     sizes = np.array([*product(first, second)])
     L = yield sizes
