@@ -170,7 +170,9 @@ def growth(folder: Path, known: Detector) -> None:
     paths = write_drives(folder / "many", 1000, 60.0, different=20)
     run(paths[:5], known, folder / "warm", PLAIN)
     counts = (10, 100, 1000, 100, 10)  # before and after, so that a machine that becomes slower says nothing
-    costs = [took(lambda n=n: run(paths[:n], known, folder / f"out{n}", PLAIN)) for n in counts]
+    costs = [
+        took(lambda n=n, i=i: run(paths[:n], known, folder / f"out{i}", PLAIN)) for i, n in enumerate(counts)
+    ]
     for kind in ("cpu", "wall"):
         t = {
             n: statistics.mean(getattr(c, kind) for c, of in zip(costs, counts, strict=True) if of == n)
