@@ -35,10 +35,11 @@ from numpy.typing import NDArray
 
 from ingest.errors import RecipeError, did_you_mean
 from ingest.log import TIME, Log
+from stages.alarm_window import Window
 from stages.gate import GATE
 from stages.hypotheses import ELAPSED
 from stages.isolate import Isolate
-from stages.pair_search import Pair, Search, Window, begun, refined
+from stages.pair_search import Pair, Search, begun, refined, sought
 from stages.rarer import ONE, UNSEEN, Alone, Also, Rarer
 from stages.results import DETECTION, EVIDENCE, OF, PAIR, PROBABILITY, SENSOR, SIZE, SIZE_SD, UNKNOWN
 from stages.stage import ANALYSIS, Stage, add_columns, columns
@@ -250,10 +251,9 @@ class Pairs:
             (a, b), (first, second) = self.pairs[pair], zip(*some, strict=True)
             steps = begun(both[pair], [*sizes[a], *first], [*sizes[b], *second])
             searches[pair] = Search(self._numbers[pair], steps)
-        found = few.sought(searches)
-        return window.sought(
-            {pair: Search(self._numbers[pair], refined(both[pair], x, 2)) for pair, x in found.items()}
-        )
+        found = sought(few, searches)
+        again = {pair: Search(self._numbers[pair], refined(both[pair], x, 2)) for pair, x in found.items()}
+        return sought(window, again)
 
     def _mirrors(self, pair: str, found: Pair, single: str, size: float) -> bool:
         """Whether a pair only says in other words that one fault of those alike has a ``size``: the two

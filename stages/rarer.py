@@ -25,10 +25,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stages.alarm_window import Window
 from stages.hypotheses import Hypothesis, Points
 from stages.isolate import Isolate
 from stages.likelihood import peak
-from stages.pair_search import Window
 from stages.relations import familiarity
 from stages.results import OF
 from stages.size_grid import Grid, refined_grid
