@@ -47,6 +47,7 @@ from pipeline.batch import Options
 from pipeline.detector import Detector
 from pipeline.diagnosing import diagnose
 from pipeline.outputs import write_run
+from pipeline.summary import Summary
 from stages.stage import transform
 
 PLAIN = Options(timeline=False, force=True)
@@ -83,11 +84,11 @@ def crashes(folder: Path, known: Detector, count: int) -> None:
     main.wait()
     same = all((undisturbed / n).read_bytes() == (disturbed / n).read_bytes() for n in RESULTS)
     show("killed three times, and workers: the same, byte for byte", str(same), "True", same)
-    summary = pl.read_parquet(undisturbed / "summary.parquet")
-    print(summary.group_by("status").len().sort("status"))
-    print(summary.filter(pl.col("status") != "ok").select("log", "status", "reason").head(DAMAGED))
-    good = summary.filter(pl.col("log") >= f"drive{DAMAGED:03d}")
-    bad = summary.filter(pl.col("log") < f"drive{DAMAGED:03d}", pl.col("status") != "ok")
+    found = pl.read_parquet(undisturbed / "summary.parquet")
+    print(found.group_by("status").len().sort("status"))
+    print(found.filter(pl.col("status") != "ok").select("log", "status", "reason").head(DAMAGED))
+    good = found.filter(pl.col("log") >= f"drive{DAMAGED:03d}")
+    bad = found.filter(pl.col("log") < f"drive{DAMAGED:03d}", pl.col("status") != "ok")
     done = (good["status"] == "ok").all() and good.height == count - DAMAGED
     show("all good logs done", f"{(good['status'] == 'ok').sum()} of {good.height}", "all", bool(done))
     show("all damaged logs reported", f"{bad.height} of {DAMAGED}", "all", bad.height == DAMAGED)
@@ -181,7 +182,17 @@ def growth(folder: Path, known: Detector) -> None:
         few, many = (t[100] - t[10]) / 90, (t[1000] - t[100]) / 900
         what = f"a log more: {1e3 * few:.1f} ms from 10 to 100, {1e3 * many:.1f} from 100 to 1000 ({kind})"
         show(what, f"{many / few:.3f}", "0.9 .. 1.1", 0.9 <= many / few <= 1.1)
+    summary(pl.read_parquet(folder / "out2" / "summary.parquet"), folder / "summaries")
     overhead(paths[0], known, folder)
+
+
+def summary(rows: pl.DataFrame, out: Path, count: int = 10_000) -> None:
+    """What a batch's tables of ``count`` logs, like those of ``rows``, take to write."""
+    out.mkdir()
+    names = [f"log{i:05d}" for i in range(count)]
+    tables, known = Summary(out, names), rows.to_dicts()
+    tables.rows = {name: {**known[i % len(known)], "log": name} for i, name in enumerate(names)}
+    print(f"  the summary of {count} logs is written in {took(tables.write).wall:.2f} s")
 
 
 def length(folder: Path) -> None:
@@ -199,13 +210,11 @@ def length(folder: Path) -> None:
 
 def overhead(path: Path, known: Detector, folder: Path) -> None:
     """What a log costs beside reading, mathematics and writing its files."""
-    many = [path] * 1
-    for i in range(50):
-        copy = folder / "copies" / f"c{i}.parquet"
-        copy.parent.mkdir(exist_ok=True)
+    (folder / "copies").mkdir()
+    copies = [folder / "copies" / f"c{i}.parquet" for i in range(50)]
+    for copy in copies:
         copy.hardlink_to(path)
-        many.append(copy)
-    whole = took(lambda: run(many[1:], known, folder / "copied", PLAIN)).wall / 50
+    whole = took(lambda: run(copies, known, folder / "copied", PLAIN)).wall / len(copies)
 
     def needed() -> None:
         diagnosis = diagnose(read_log(path), known)
@@ -253,10 +262,10 @@ def end_to_end(folder: Path, known: Detector) -> None:
             f"  {' '.join(map(str, fault or ['none'])):27s} {ratio[0]:.2f} (wall), {ratio[1]:.2f} (cpu);"
             f" stages {stages / FAULTS.count(fault):.2f} s cpu a log"
         )
-    all_of_them, length = spent.sum(axis=0), seconds * len(FAULTS)
+    all_of_them, whole_s = spent.sum(axis=0), seconds * len(FAULTS)
     for k, kind in enumerate(("wall", "cpu")):
         ratio = float(np.median(all_of_them[:, 0, k] / all_of_them[:, 1, k]))
-        plain, timeline = (length / float(np.median(all_of_them[:, i, k])) for i in (0, 2))
+        plain, timeline = (whole_s / float(np.median(all_of_them[:, i, k])) for i in (0, 2))
         show(f"without timeline, against reading and writing ({kind})", f"{ratio:.2f}", "<= 3", ratio <= 3)
         show(f"without timeline, times real time ({kind})", f"{plain:.0f}", ">= 2500", plain >= 2500)
         show(f"with timeline, times real time ({kind})", f"{timeline:.0f}", ">= 1200", timeline >= 1200)
@@ -280,7 +289,11 @@ def worked(folder: Path, known: Detector, seed: int, seconds: float, rounds: int
     works = ours(PLAIN), floor, ours(replace(PLAIN, timeline=True)), stages
     for work in works:
         work()
-    return [[list(took(work)) for work in works] for _ in range(rounds)]
+    spent = [[list(took(work)) for work in works] for _ in range(rounds)]
+    made = sorted((folder / "hours" / path.stem).iterdir())
+    sizes = ", ".join(f"{f.name} {f.stat().st_size / 1e6:.1f}" for f in (path, *made))
+    print(f"  {diagnosis.verdict.fault}: MB of {sizes}")
+    return spent
 
 
 def main() -> None:

@@ -39,3 +39,14 @@ def test_so_they_are_of_two_faults_at_once(window: Window) -> None:
     for x, y in ((1.0, 1.0), (1.5, 1.25)):
         height = window.both(np.array([[0, 1]]), np.array([[x, y]]))[0]
         assert height == pytest.approx(expected(e - x - 2 * y, 0.1 * (x + 2 * y), 0.15 * x), rel=1e-9)
+
+
+def test_points_of_several_pairs_are_judged_each_by_its_own(window: Window) -> None:
+    """The first hypothesis has a blur and may be inexact, the second neither."""
+    e = window.values["residual.r"]
+    which = np.array([[0, 1], [1, 1], [1, 0]])
+    sizes = np.array([[1.5, 1.25], [1.0, 1.5], [1.0, 2.0]])
+    found = window.both(which, sizes)
+    assert found[0] == pytest.approx(expected(e - 4.0, 0.1 * 4.0, 0.15 * 1.5), rel=1e-9)
+    assert found[1] == pytest.approx(expected(e - 5.0, 0.0, 0.0), rel=1e-9)
+    assert found[2] == pytest.approx(expected(e - 4.0, 0.1 * 4.0, 0.15 * 2.0), rel=1e-9)
